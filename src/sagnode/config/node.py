@@ -1,0 +1,210 @@
+"""The node file: what this unit is, where its frames come from, and whom it tells."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Literal
+
+from pydantic import Field, model_validator
+
+from sagnode.config.base import Model, Name
+
+Method = Literal["rational-bezier", "paper-bezier", "cosh", "cosh-perspective"]
+
+
+class Unit(Model):
+    """Identity, as it stands in topics and messages."""
+
+    utility: Name
+    line: Name
+    span: Name
+    unit: Name
+    commissioning: bool = False
+    """Mark every reading as a test."""
+
+
+class ReplaySource(Model):
+    """Frames from files."""
+
+    path: str
+    """A directory, a glob or a video; relative to this file."""
+    cadence_s: float | None = Field(default=None, gt=0)
+    """Time between frames; without it the files' own times are kept."""
+    start: str | None = None
+    """RFC 3339 time of the first frame, with cadence_s."""
+    at_end: Literal["stop", "hold", "loop"] = "stop"
+    """After the last frame: stop the node, report stale frames, or begin again."""
+
+
+class V4l2Source(Model):
+    """A V4L2 device through OpenCV."""
+
+    device: str = "/dev/video0"
+    width: int = Field(default=1456, gt=0)
+    height: int = Field(default=1088, gt=0)
+    pixel_format: str = Field(default="GREY", min_length=4, max_length=4)
+    exposure: float | None = None
+    """In the driver's unit (often 100 us); unset leaves the driver's automatic."""
+    gain: float | None = None
+    fps: float | None = Field(default=None, gt=0)
+    warmup_frames: int = Field(default=5, ge=0, le=1000)
+    timeout_s: float = Field(default=5.0, gt=0)
+    """Longest wait for one frame."""
+
+
+class Picamera2Source(Model):
+    """A Raspberry Pi camera."""
+
+    camera: int = Field(default=0, ge=0)
+    width: int = Field(default=1456, gt=0)
+    height: int = Field(default=1088, gt=0)
+    stream: Literal["main", "raw"] = "main"
+    exposure_us: int | None = Field(default=None, gt=0)
+    """Locked exposure; unset: settle automatically during warm-up, then lock."""
+    gain: float | None = Field(default=None, gt=0)
+    lens_position: float | None = Field(default=None, ge=0)
+    """Dioptres; 0 is infinity."""
+    warmup_frames: int = Field(default=10, ge=0, le=1000)
+    timeout_s: float = Field(default=10.0, gt=0)
+
+
+class Camera(Model):
+    """Where frames come from."""
+
+    backend: Literal["replay", "v4l2", "picamera2"]
+    burst: int = Field(default=1, ge=1, le=64)
+    """Frames per reading."""
+    burst_interval_s: float = Field(default=0.0, ge=0, le=60)
+    replay: ReplaySource | None = None
+    v4l2: V4l2Source = V4l2Source()
+    picamera2: Picamera2Source = Picamera2Source()
+
+    @model_validator(mode="after")
+    def _source_given(self) -> Camera:
+        if self.backend == "replay" and self.replay is None:
+            raise ValueError("camera: backend = \"replay\" needs a table [camera.replay] with a path")
+        return self
+
+
+class Schedule(Model):
+    """When a reading is made; exactly one of interval_s and cron."""
+
+    interval_s: float | None = Field(default=None, ge=0.1)
+    cron: str | None = None
+    """Five-field crontab expression, in UTC."""
+    deadline_s: float = Field(default=60.0, gt=0)
+    """A reading that takes longer is recorded as invalid; its worker is killed and started anew."""
+    clock: Literal["system", "virtual"] = "system"
+    """virtual: time jumps to the next slot as soon as the node is idle; for replayed frames only."""
+
+    @model_validator(mode="after")
+    def _one_trigger(self) -> Schedule:
+        if (self.interval_s is None) == (self.cron is None):
+            raise ValueError("schedule: give exactly one of interval_s and cron")
+        return self
+
+
+class Measure(Model):
+    """How a frame becomes a reading."""
+
+    method: Method = "rational-bezier"
+    """rational-bezier is sagnode's; the others are the paper's, for comparison."""
+    undistort: bool = True
+    """False ignores the lens distortion, as the paper's Table 8 does."""
+
+
+class Worker(Model):
+    """The process that owns the camera and the mathematics."""
+
+    max_readings: int = Field(default=1000, ge=1)
+    """Recycle the process after so many readings."""
+    memory_max_mb: int = Field(default=600, ge=64)
+    """Address-space growth beyond this ends the process, not the daemon."""
+    backoff_max_s: float = Field(default=300.0, gt=0)
+
+
+class Storage(Model):
+    """Where things are kept; relative paths are below the state directory."""
+
+    state_dir: Path | None = None
+    """Default: $STATE_DIRECTORY (systemd), else ~/.local/state/sagnode."""
+    keep_days: float = Field(default=400.0, gt=0)
+    keep_mb: float = Field(default=512.0, gt=1)
+    """Size limit of the journal; undelivered readings go last, and only then."""
+    pictures: bool = True
+    """Keep the latest overlay of each conductor."""
+    pictures_keep_mb: float = Field(default=64.0, ge=0)
+
+
+class Tls(Model):
+    """TLS to the broker: 1.2 or later, server name verified."""
+
+    ca_file: Path | None = None
+    """Default: the system's."""
+    cert_file: Path | None = None
+    """Client certificate."""
+    key_file: Path | None = None
+
+    @model_validator(mode="after")
+    def _pair(self) -> Tls:
+        if (self.cert_file is None) != (self.key_file is None):
+            raise ValueError("mqtt.tls: cert_file and key_file go together")
+        return self
+
+
+class Mqtt(Model):
+    """The broker."""
+
+    host: str = Field(min_length=1)
+    port: int = Field(default=8883, ge=1, le=65535)
+    protocol: Literal["5", "3.1.1"] = "5"
+    client_id: str | None = None
+    """Default: sagnode-<unit>."""
+    prefix: str = "sagnode/v1/{utility}/{line}/{span}/{unit}"
+    username: str | None = None
+    password_file: Path | None = None
+    """First line is the password; relative to $CREDENTIALS_DIRECTORY under systemd, else to this file."""
+    tls: Tls | None = None
+    insecure_plaintext: bool = False
+    """Say it twice: without [mqtt.tls] only the loopback is spoken to unless this is true."""
+    keepalive_s: int = Field(default=60, ge=5, le=3600)
+    expiry_s: int = Field(default=86400, ge=60)
+    """MQTT 5 message expiry of measurements."""
+    inflight: int = Field(default=5, ge=1, le=100)
+    """Readings handed to the client at once; the journal holds the rest."""
+    backlog_per_s: float = Field(default=50.0, gt=0)
+    """Rate at which old readings are drained after an outage."""
+
+    @model_validator(mode="after")
+    def _encrypted_or_said_twice(self) -> Mqtt:
+        local = self.host in {"localhost", "127.0.0.1", "::1"}
+        if self.tls is None and not local and not self.insecure_plaintext:
+            raise ValueError(
+                f"mqtt: {self.host} would be spoken to in plain text; add a table [mqtt.tls],"
+                " or say insecure_plaintext = true"
+            )
+        if self.password_file is not None and self.username is None:
+            raise ValueError("mqtt: password_file needs a username")
+        return self
+
+
+class Node(Model):
+    """The whole node file."""
+
+    unit: Unit
+    span_file: Path
+    """The survey; relative to this file."""
+    camera: Camera
+    schedule: Schedule
+    measure: Measure = Measure()
+    worker: Worker = Worker()
+    storage: Storage = Storage()
+    mqtt: Mqtt | None = None
+    """Without it readings are journalled and shown, and published nowhere."""
+    log_level: Literal["debug", "info", "warning", "error"] = "info"
+
+    @model_validator(mode="after")
+    def _virtual_clock_needs_replay(self) -> Node:
+        if self.schedule.clock == "virtual" and self.camera.backend != "replay":
+            raise ValueError("schedule: clock = \"virtual\" works with camera backend \"replay\" only")
+        return self

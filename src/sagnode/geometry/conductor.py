@@ -1,0 +1,105 @@
+r"""The conductor in space: a quadratic Bézier, made exact by the catenary's departure from its parabola.
+
+::
+
+    A *--------- chord ----------* B      C(t) = (1-t)² A + 2t(1-t) P₁ + t² B + δ(t)·d(φ)
+       \            |           /         P₁   = A + u (B-A) + 2 D d(φ)
+        `--.        | D      .-'          d(φ) = apparent gravity: down, turned by the swing φ about the chord
+            `--.____v____.--'             D    = distance from the middle of the chord along d(φ)
+
+With the load skew ``u = ½`` the departure ``δ`` makes the curve a true catenary of horizontal span L and rise h,
+turned as a whole about the chord. All functions broadcast over leading axes of their parameters.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from sagnode.geometry.camera import FloatArray
+
+
+def catenary_half_angle(span: ArrayLike, rise: ArrayLike, sag: ArrayLike) -> FloatArray:
+    """q = L/(2a) of the catenary with vertical sag D at mid-chord, for span L and rise h (same unit).
+
+    Solves ``D = (L/2q)·sqrt(1 + (h q/(L sinh q))²)·(cosh q - 1)``, which is the mid-chord sag of y = a cosh(x/a)
+    between supports L apart and h different in height, by Newton's method in ln q from the parabola's value.
+    """
+    span_, rise_, sag_ = (np.asarray(value, dtype=np.float64) for value in (span, rise, sag))
+    slant = np.hypot(span_, rise_)
+    target = np.maximum(sag_, 1e-9 * span_)
+    q = 4 * target / slant
+
+    def mid_sag(q: FloatArray) -> FloatArray:
+        steep = rise_ * q / (span_ * np.sinh(q))
+        # cosh q - 1 = 2 sinh²(q/2) keeps its digits at small q
+        return np.asarray(span_ / q * np.sqrt(1 + steep**2) * np.sinh(q / 2) ** 2)
+
+    for _ in range(8):
+        step = 1e-5
+        value = mid_sag(q)
+        slope = (mid_sag(q * (1 + step)) - mid_sag(q * (1 - step))) / (2 * step)
+        q = q * np.exp(np.clip((target - value) / slope, -1.0, 1.0))
+    return q
+
+
+def sag_profile(span: ArrayLike, rise: ArrayLike, sag: ArrayLike, s: FloatArray) -> FloatArray:
+    """Distance below the chord along gravity at the horizontal fractions ``s`` (N,): shape (..., N), exact catenary."""
+    span_, rise_, sag_ = (np.asarray(value, dtype=np.float64)[..., None] for value in (span, rise, sag))
+    q = catenary_half_angle(span_, rise_, sag_)
+    a = span_ / (2 * q)
+    m = np.arcsinh(rise_ * q / (span_ * np.sinh(q)))
+    # chord - catenary, with cosh(m+x) - cosh(m+y) written as products of sinh to keep digits at small sag
+    x = q * (2 * s - 1)
+    # y(s) - y(0) and y(1) - y(0), in units of a
+    rise_here = 2 * np.sinh(m + (x - q) / 2) * np.sinh((x + q) / 2)
+    rise_end = 2 * np.sinh(m) * np.sinh(q)
+    return np.asarray(a * (s * rise_end - rise_here))
+
+
+def gravity_direction(near: FloatArray, far: FloatArray, swing_rad: ArrayLike) -> FloatArray:
+    """d(φ) (..., 3): straight down turned by the swing about the chord; positive swings to the right seen from A."""
+    chord = (far - near) / np.linalg.norm(far - near, axis=-1, keepdims=True)
+    down = np.array([0.0, 0.0, -1.0])
+    swing = np.asarray(swing_rad, dtype=np.float64)[..., None]
+    # right of the chord seen from A: forward x up
+    side = np.cross(chord, np.array([0.0, 0.0, 1.0]))
+    # Rodrigues about the chord, sense such that "down" turns towards "side"
+    along = (chord @ down)[..., None] * chord if chord.ndim == 1 else np.sum(chord * down, -1, keepdims=True) * chord
+    return np.asarray(along + np.cos(swing) * (down - along) + np.sin(swing) * side)
+
+
+def conductor_points(
+    near: FloatArray,
+    far: FloatArray,
+    sag: ArrayLike,
+    swing_rad: ArrayLike,
+    t: FloatArray,
+    skew: ArrayLike = 0.5,
+) -> FloatArray:
+    """Points (..., N, 3) of the conductor at the curve parameters ``t`` (N,).
+
+    Args:
+        near: attachment A (3,), m.
+        far: attachment B (3,), m.
+        sag: in-plane sag D at mid-chord, m, shape (...).
+        swing_rad: swing φ, rad, shape (...).
+        t: curve parameter in [0, 1].
+        skew: load skew u; ½ is a uniform load.
+    """
+    chord = far - near
+    span = float(np.hypot(chord[0], chord[1]))
+    profile = sag_profile(span, chord[2], sag, t)
+    fraction = 2 * t * (1 - t) * np.asarray(skew, dtype=np.float64)[..., None] + t * t
+    direction = gravity_direction(near, far, swing_rad)
+    return np.asarray(near + fraction[..., None] * chord + profile[..., None] * direction[..., None, :])
+
+
+def control_points(
+    near: FloatArray, far: FloatArray, sag: ArrayLike, swing_rad: ArrayLike, skew: ArrayLike = 0.5
+) -> FloatArray:
+    """Bézier control points (..., 3, 3): A, P₁, B of design equation P₁ = A + u(B-A) + 2D·d(φ)."""
+    direction = gravity_direction(near, far, swing_rad)
+    sag_ = np.asarray(sag, dtype=np.float64)[..., None]
+    handle = near + np.asarray(skew, dtype=np.float64)[..., None] * (far - near) + 2 * sag_ * direction
+    return np.stack([np.broadcast_to(near, handle.shape), handle, np.broadcast_to(far, handle.shape)], axis=-2)

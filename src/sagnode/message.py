@@ -1,0 +1,205 @@
+"""The messages that leave the node: what a subscriber, the journal and ``sagnode status`` read.
+
+All lengths are metres, angles degrees, times RFC 3339 UTC. Every quantity ``X`` is published as its value
+(``sag_m``), its standard uncertainty (``sag_u``, GUM) and a 95 % interval (``sag_lo``, ``sag_hi``) in the same unit.
+An invalid reading carries null in all four. This module imports neither NumPy nor OpenCV.
+"""
+
+from __future__ import annotations
+
+from datetime import datetime
+from typing import Any, Literal, NamedTuple
+
+from pydantic import AwareDatetime, BaseModel, ConfigDict, Field, create_model
+
+from sagnode.quality import Cause, DetailQual, Reason, Validity
+
+
+class Quantity(NamedTuple):
+    """A quantity that is published: its stem, the unit's suffix, and what it means."""
+
+    stem: str
+    unit: str
+    meaning: str
+
+    @property
+    def value_field(self) -> str:
+        """Name of the field that holds the value, e.g. ``sag_m``."""
+        return f"{self.stem}_{self.unit}"
+
+
+QUANTITIES: tuple[Quantity, ...] = (
+    Quantity("sag", "m", "chord sag: greatest vertical distance from the straight line A-B down to the conductor"),
+    Quantity("inplane_sag", "m", "greatest distance from the chord in the conductor's swung plane"),
+    Quantity("swing", "deg", "angle of the conductor's plane about the chord, positive towards the right seen from A"),
+    Quantity("blowout", "m", "greatest horizontal displacement from the vertical plane through A and B"),
+    Quantity("lowest_height", "m", "height of the lowest point in the site frame"),
+    Quantity("lowest_along", "m", "horizontal distance of the lowest point from A along the span"),
+    Quantity("drop", "m", "higher attachment minus lowest point"),
+    Quantity("clearance", "m", "least vertical distance to the ground profile and its obstacles"),
+    Quantity("clearance_along", "m", "horizontal distance from A along the span of the place of least clearance"),
+    Quantity("midspan_sag", "m", "vertical distance from the chord at mid-span"),
+    Quantity("midspan_clearance", "m", "vertical distance to the ground at mid-span"),
+    Quantity("catenary_constant", "m", "horizontal tension over unit weight, H/w"),
+    Quantity("tension", "n", "horizontal tension H, where the unit weight is configured"),
+    Quantity("conductor_temp", "c", "derived by the state-change equation from stringing data, where configured"),
+)
+
+
+class Estimate(NamedTuple):
+    """A value with its standard uncertainty and 95 % interval, all in the quantity's unit."""
+
+    value: float
+    u: float
+    lo: float
+    hi: float
+
+
+class Strict(BaseModel):
+    """Base of all messages: frozen, unknown fields are an error, NaN and infinity are no numbers."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class ReasonMessage(Strict):
+    """One reason for less than good quality."""
+
+    cause: Cause
+    detail_qual: DetailQual
+    text: str = Field(description="what was seen, with numbers, and what to do")
+
+    @classmethod
+    def of(cls, reason: Reason) -> ReasonMessage:
+        """The message form of a :class:`sagnode.quality.Reason`."""
+        return cls(cause=reason.cause, detail_qual=reason.detail_qual, text=reason.text)
+
+
+class QualityMessage(Strict):
+    """IEC 61850-7-3 quality of a reading."""
+
+    validity: Validity
+    detail_qual: tuple[DetailQual, ...] = ()
+    reasons: tuple[ReasonMessage, ...] = ()
+    source: Literal["process", "substituted"] = "process"
+    test: bool = False
+
+    @classmethod
+    def of(cls, validity: Validity, reasons: tuple[Reason, ...], *, test: bool = False) -> QualityMessage:
+        """Quality from a judgement; ``detail_qual`` lists each IEC word once, in the order of the reasons."""
+        words = tuple(dict.fromkeys(reason.detail_qual for reason in reasons))
+        return cls(
+            validity=validity, detail_qual=words, reasons=tuple(ReasonMessage.of(r) for r in reasons), test=test
+        )
+
+
+class Identity(Strict):
+    """Which conductor of which span, seen by which unit."""
+
+    utility: str
+    line: str
+    span: str
+    unit: str
+
+
+class ReadingHeader(Strict):
+    """Everything of a reading but its quantities; :class:`Reading` adds those."""
+
+    schema_version: Literal["sagnode.reading/1"] = "sagnode.reading/1"
+    utility: str
+    line: str
+    span: str
+    unit: str
+    conductor: str
+    phase: str | None = None
+    sequence: int = Field(ge=1, description="never repeats, also not across restarts; drop what you have seen")
+    acquired_at: AwareDatetime = Field(description="UTC of the first frame used (or of the attempt)")
+    published_at: AwareDatetime | None = Field(default=None, description="UTC of this transmission")
+    clock_synced: bool = Field(description="whether the system clock was synchronised at acquisition")
+    boot_id: str
+    monotonic_s: float = Field(description="seconds of the monotonic clock since boot at acquisition")
+    quality: QualityMessage
+    frames_used: int = Field(ge=0)
+    frames_rejected: int = Field(ge=0)
+    visible_share: float | None = Field(default=None, ge=0, le=1, description="share of the span that was seen")
+    match_score: float | None = Field(default=None, description="robust z-score over shifted curves")
+    pose_residual_px: float | None = Field(default=None, ge=0)
+    landmarks_used: int = Field(default=0, ge=0)
+    method: str = Field(description="matcher that made the reading")
+    calibration_id: str
+    configuration_id: str
+    software_version: str
+    backfill: bool = Field(default=False, description="sent late, out of the journal")
+
+
+def _quantity_fields() -> dict[str, Any]:
+    fields: dict[str, Any] = {}
+    for stem, unit, meaning in QUANTITIES:
+        fields[f"{stem}_{unit}"] = (float | None, Field(default=None, description=meaning))
+        fields[f"{stem}_u"] = (float | None, Field(default=None, ge=0, description=f"standard uncertainty of {stem}"))
+        fields[f"{stem}_lo"] = (float | None, Field(default=None, description=f"lower end of the 95 % interval of {stem}"))
+        fields[f"{stem}_hi"] = (float | None, Field(default=None, description=f"upper end of the 95 % interval of {stem}"))
+    return fields
+
+
+Reading: type[ReadingHeader] = create_model(
+    "Reading",
+    __base__=ReadingHeader,
+    __doc__="One conductor, one burst: what is published on ``measurement/<conductor>``.",
+    **_quantity_fields(),
+)
+
+
+def estimate_fields(estimates: dict[str, Estimate]) -> dict[str, float]:
+    """Flat fields of a reading from estimates by quantity stem.
+
+    >>> sorted(estimate_fields({"sag": Estimate(8.0, 0.1, 7.8, 8.2)}))
+    ['sag_hi', 'sag_lo', 'sag_m', 'sag_u']
+    """
+    fields: dict[str, float] = {}
+    for stem, unit, _ in QUANTITIES:
+        if stem in estimates:
+            value, u, lo, hi = estimates[stem]
+            fields.update({f"{stem}_{unit}": value, f"{stem}_u": u, f"{stem}_lo": lo, f"{stem}_hi": hi})
+    return fields
+
+
+def reading_estimate(reading: ReadingHeader, stem: str) -> Estimate | None:
+    """The estimate of one quantity of a reading, or None where it is null."""
+    quantity = next(q for q in QUANTITIES if q.stem == stem)
+    values = [getattr(reading, name) for name in (quantity.value_field, f"{stem}_u", f"{stem}_lo", f"{stem}_hi")]
+    return None if any(v is None for v in values) else Estimate(*values)
+
+
+class StatusMessage(Strict):
+    """Retained on ``status``; ``offline`` is the last will."""
+
+    schema_version: Literal["sagnode.status/1"] = "sagnode.status/1"
+    state: Literal["online", "offline"]
+    since: datetime | None
+    software_version: str
+    boot_id: str
+    configuration_id: str
+    text: str = ""
+
+
+class HealthMessage(Strict):
+    """Retained on ``health``: the node itself."""
+
+    schema_version: Literal["sagnode.health/1"] = "sagnode.health/1"
+    at: AwareDatetime
+    uptime_s: float
+    cpu_temperature_c: float | None
+    throttled: bool | None
+    memory_available_mb: float | None
+    disk_free_mb: float | None
+    camera: str = Field(description="back end and state: ok, or the last fault")
+    worker_restarts: int
+    readings_made: int
+    readings_invalid: int
+    last_good_at: AwareDatetime | None
+    outbox_depth: int
+    outbox_oldest_s: float | None
+    broker: str
+    clock_synced: bool
+    journal: str
+    configuration: str = "ok"
