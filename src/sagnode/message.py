@@ -87,9 +87,7 @@ class QualityMessage(Strict):
     def of(cls, validity: Validity, reasons: tuple[Reason, ...], *, test: bool = False) -> QualityMessage:
         """Quality from a judgement; ``detail_qual`` lists each IEC word once, in the order of the reasons."""
         words = tuple(dict.fromkeys(reason.detail_qual for reason in reasons))
-        return cls(
-            validity=validity, detail_qual=words, reasons=tuple(ReasonMessage.of(r) for r in reasons), test=test
-        )
+        return cls(validity=validity, detail_qual=words, reasons=tuple(ReasonMessage.of(r) for r in reasons), test=test)
 
 
 class Identity(Strict):
@@ -136,8 +134,14 @@ def _quantity_fields() -> dict[str, Any]:
     for stem, unit, meaning in QUANTITIES:
         fields[f"{stem}_{unit}"] = (float | None, Field(default=None, description=meaning))
         fields[f"{stem}_u"] = (float | None, Field(default=None, ge=0, description=f"standard uncertainty of {stem}"))
-        fields[f"{stem}_lo"] = (float | None, Field(default=None, description=f"lower end of the 95 % interval of {stem}"))
-        fields[f"{stem}_hi"] = (float | None, Field(default=None, description=f"upper end of the 95 % interval of {stem}"))
+        fields[f"{stem}_lo"] = (
+            float | None,
+            Field(default=None, description=f"lower end of the 95 % interval of {stem}"),
+        )
+        fields[f"{stem}_hi"] = (
+            float | None,
+            Field(default=None, description=f"upper end of the 95 % interval of {stem}"),
+        )
     return fields
 
 
