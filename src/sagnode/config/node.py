@@ -82,7 +82,7 @@ class Camera(Model):
     @model_validator(mode="after")
     def _source_given(self) -> Camera:
         if self.backend == "replay" and self.replay is None:
-            raise ValueError("camera: backend = \"replay\" needs a table [camera.replay] with a path")
+            raise ValueError('camera: backend = "replay" needs a table [camera.replay] with a path')
         return self
 
 
@@ -206,5 +206,5 @@ class Node(Model):
     @model_validator(mode="after")
     def _virtual_clock_needs_replay(self) -> Node:
         if self.schedule.clock == "virtual" and self.camera.backend != "replay":
-            raise ValueError("schedule: clock = \"virtual\" works with camera backend \"replay\" only")
+            raise ValueError('schedule: clock = "virtual" works with camera backend "replay" only')
         return self

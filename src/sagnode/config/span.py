@@ -13,6 +13,7 @@ attachments' tower towards the far one, measured along the span; every conductor
 
 from __future__ import annotations
 
+import itertools
 import math
 from pathlib import Path
 from typing import Literal
@@ -105,7 +106,7 @@ class Ground(Model):
     @model_validator(mode="after")
     def _ascending(self) -> Ground:
         along = [a for a, _ in self.profile]
-        if any(b <= a for a, b in zip(along, along[1:], strict=False)):
+        if any(b <= a for a, b in itertools.pairwise(along)):
             raise ValueError("ground.profile: the first number of each pair must ascend")
         return self
 
@@ -184,7 +185,8 @@ class Span(Model):
 
     @model_validator(mode="after")
     def _consistent(self) -> Span:
-        for what, ids in (("conductors", [c.id for c in self.conductors]), ("landmarks", [m.id for m in self.landmarks])):
+        named = {"conductors": [c.id for c in self.conductors], "landmarks": [m.id for m in self.landmarks]}
+        for what, ids in named.items():
             twice = sorted({i for i in ids if ids.count(i) > 1})
             if twice:
                 raise ValueError(f"{what}: id used twice: {', '.join(twice)}")

@@ -18,7 +18,7 @@ FloatArray = NDArray[np.float64]
 class Intrinsics:
     """Focal lengths, principal point (px) and distortion of a camera of ``width`` x ``height`` pixels.
 
-    ``distortion`` is in OpenCV's order: ``k1 k2 p1 p2 [k3 [k4 k5 k6]]`` for the pinhole model, ``k1 k2 k3 k4`` for fisheye.
+    ``distortion`` is in OpenCV's order: ``k1 k2 p1 p2 [k3 [k4 k5 k6]]`` (pinhole), ``k1 k2 k3 k4`` (fisheye).
     """
 
     width: int

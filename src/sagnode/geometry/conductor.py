@@ -20,7 +20,7 @@ from sagnode.geometry.camera import FloatArray
 
 
 def catenary_half_angle(span: ArrayLike, rise: ArrayLike, sag: ArrayLike) -> FloatArray:
-    """q = L/(2a) of the catenary with vertical sag D at mid-chord, for span L and rise h (same unit).
+    """Half-angle q = L/(2a) of the catenary with vertical sag D at mid-chord, for span L and rise h (same unit).
 
     Solves ``D = (L/2q)·sqrt(1 + (h q/(L sinh q))²)·(cosh q - 1)``, which is the mid-chord sag of y = a cosh(x/a)
     between supports L apart and h different in height, by Newton's method in ln q from the parabola's value.
