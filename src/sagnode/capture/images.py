@@ -1,0 +1,174 @@
+"""Pictures from files and buffers as 8-bit grey, whole or not at all.
+
+The grey of a colour picture is Rec. 601 luma. Pixels stay in the sensor's own orientation: a file's EXIF rotation is
+not applied, since the intrinsics belong to the sensor.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import tempfile
+import threading
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from sagnode.capture.headers import DamagedError, Header, read_header
+from sagnode.capture.port import GreyImage
+from sagnode.errors import FrameError
+from sagnode.quality import Cause
+
+MAX_PIXELS = 64_000_000
+"""Largest picture that is decoded: five times the largest Raspberry Pi camera's, and 64 MB of grey."""
+MIN_SIDE = 16
+MAX_FILE_BYTES = 8 * MAX_PIXELS
+"""No uncompressed picture of MAX_PIXELS is larger (4 channels of 16 bits)."""
+
+_REMEDY = "take or copy the picture again"
+_KINDS_REMEDY = "give a JPEG, PNG, TIFF or binary PGM/PPM picture"
+_RIGHT_ALIGNED = 4096
+_STRAY_BYTES = re.compile(r"Corrupt JPEG data: (\d+) extraneous bytes before marker")
+_COMPLAINTS = ("Corrupt JPEG data", "Premature end of JPEG", "Inconsistent progression", "libpng error")
+_STRAY_BYTES_ALLOWED = 16  # some cameras fill a scan up to a word; a scan that lost its place leaves hundreds
+
+_stderr_lock = threading.Lock()
+
+
+def read_grey(path: Path | str) -> GreyImage:
+    """Read a picture file.
+
+    Returns:
+        8-bit grey, (height, width), C-contiguous.
+
+    Raises:
+        FrameError: (bad-frame) missing, a directory, unreadable, empty, cut off, damaged, not a picture, smaller than
+            MIN_SIDE or larger than MAX_PIXELS, or of a sample type that is not 8 or 16 bits; (dark) see to_grey8.
+    """
+    path = Path(path)
+    try:
+        if path.is_dir():
+            raise _bad(f"picture {path} is a directory", "name the picture files in it")
+        if path.stat().st_size > MAX_FILE_BYTES:
+            raise _bad(f"picture {path} has {path.stat().st_size} bytes, more than {MAX_FILE_BYTES}", _KINDS_REMEDY)
+        data = path.read_bytes()
+    except FileNotFoundError:
+        raise _bad(f"picture {path} does not exist", "check the path") from None
+    except OSError as error:
+        raise _bad(f"picture {path} cannot be read: {error.strerror}", "check its permissions and the disk") from None
+    return decode_grey(data, f"picture {path}")
+
+
+def decode_grey(data: bytes, source: str) -> GreyImage:
+    """The same for a picture in memory; ``source`` names it in errors."""
+    try:
+        header = read_header(data)
+    except DamagedError as error:
+        raise _bad(f"{source} {error}", _KINDS_REMEDY if str(error).startswith("is not") else _REMEDY) from None
+    _check_size(header, source)
+    pixels, said = _decode(data)
+    complaint = _complaint(said)
+    if complaint:
+        raise _bad(f"{source} is damaged: {complaint}", _REMEDY)
+    if pixels is None:
+        raise _bad(f"{source} is damaged or of a kind of {header.kind} that cannot be decoded", _REMEDY)
+    if pixels.shape[:2] != (header.height, header.width):
+        raise _bad(
+            f"{source} is damaged: its header says {header.width}x{header.height} px, its data another size", _REMEDY
+        )
+    return to_grey8(pixels, source, header.full_scale)
+
+
+def to_grey8(array: NDArray[Any], source: str, full_scale: int | None = None) -> GreyImage:
+    """8-bit grey of grey (h, w), BGR (h, w, 3) or BGRA (h, w, 4; alpha ignored) samples of 8 or 16 bits.
+
+    16-bit samples are scaled by a *constant*, ``255 / full_scale`` (default 65535, rounded to nearest), never by the
+    frame's own maximum: a bird or a lamp must not change the contrast of every other pixel. 10- and 12-bit samples in
+    16-bit files without a stated maximum therefore would come out black; they are refused with that explanation. A PGM
+    states its maximum, and it is used.
+
+    Raises:
+        FrameError: (bad-frame) another shape or sample type; (dark) 16-bit samples that never reach 1/16 of full scale.
+    """
+    if array.ndim == 3 and array.shape[2] == 1:
+        array = array[..., 0]
+    channels = 1 if array.ndim == 2 else array.shape[2] if array.ndim == 3 else 0
+    if channels not in {1, 3, 4} or array.size == 0:
+        raise _bad(f"{source} has the shape {array.shape}; grey, BGR or BGRA is read", _KINDS_REMEDY)
+    if array.dtype not in (np.uint8, np.uint16):
+        raise _bad(f"{source} has samples of type {array.dtype}; 8- and 16-bit whole numbers are read", _KINDS_REMEDY)
+    if channels > 1:
+        array = cv2.cvtColor(array, cv2.COLOR_BGR2GRAY if channels == 3 else cv2.COLOR_BGRA2GRAY)
+    if array.dtype == np.uint16:
+        white = full_scale or 65535
+        brightest = int(array.max())
+        if full_scale is None and brightest < _RIGHT_ALIGNED:
+            raise FrameError(
+                f"{source}: its brightest 16-bit sample is {brightest} of 65535, so it is dark or holds 10- or 12-bit"
+                " samples without scaling",
+                "store samples scaled to 16 bits, or as PGM with their maximum",
+                Cause.DARK,
+            )
+        array = cv2.convertScaleAbs(array, alpha=255.0 / white)
+    elif full_scale not in (None, 255):
+        array = cv2.convertScaleAbs(array, alpha=255.0 / full_scale)
+    return np.ascontiguousarray(array, dtype=np.uint8)
+
+
+def _bad(what: str, remedy: str) -> FrameError:
+    return FrameError(what, remedy, Cause.BAD_FRAME)
+
+
+def _check_size(header: Header, source: str) -> None:
+    if header.width * header.height > MAX_PIXELS:
+        raise _bad(
+            f"{source} claims {header.width}x{header.height} px; at most {MAX_PIXELS // 1_000_000} megapixels are read",
+            "use the camera's own size",
+        )
+    if min(header.width, header.height) < MIN_SIDE:
+        raise _bad(f"{source} is {header.width}x{header.height} px; at least {MIN_SIDE} a side are needed", _REMEDY)
+
+
+def _complaint(said: list[str]) -> str | None:
+    """What the decoders said that means picture data were lost."""
+    for line in said:
+        if line.startswith(_COMPLAINTS):
+            stray = _STRAY_BYTES.match(line)
+            if stray is None or int(stray[1]) > _STRAY_BYTES_ALLOWED:
+                return line
+    return None
+
+
+def _decode(data: bytes) -> tuple[NDArray[Any] | None, list[str]]:
+    """Decode, and keep what libjpeg and libpng write to file descriptor 2, their only way to tell of lost data.
+
+    What another thread writes to standard error in these milliseconds is handed on afterwards.
+    """
+    buffer = np.frombuffer(data, np.uint8)
+    with _stderr_lock, tempfile.TemporaryFile() as sink:
+        try:
+            kept = os.dup(2)
+        except OSError:  # no standard error at all: nothing to keep
+            return _imdecode(buffer), []
+        try:
+            os.dup2(sink.fileno(), 2)
+            pixels = _imdecode(buffer)
+        finally:
+            os.dup2(kept, 2)
+            os.close(kept)
+        sink.seek(0)
+        said = sink.read().decode("utf-8", "replace").splitlines()
+    others = [line for line in said if not line.startswith((*_COMPLAINTS, "libpng", "[ WARN", "[ERROR", "imdecode_"))]
+    if others:
+        os.write(2, "\n".join([*others, ""]).encode())
+    return pixels, said
+
+
+def _imdecode(buffer: NDArray[np.uint8]) -> NDArray[Any] | None:
+    try:
+        return cv2.imdecode(buffer, cv2.IMREAD_UNCHANGED)
+    except cv2.error:
+        return None
