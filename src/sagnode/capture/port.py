@@ -54,3 +54,9 @@ class FrameSource(ABC):
     def first_frame_at(self) -> datetime | None:
         """Time of the next frame where the source has times of its own (replay), else None."""
         return None
+
+    def skip_until(self, utc: datetime) -> None:
+        """Pass over frames that are not later than ``utc``, so that a new worker goes on where the last one ended.
+
+        Sources without times of their own have nothing to pass over.
+        """
