@@ -55,7 +55,7 @@ class FrameSource(ABC):
         """Time of the next frame where the source has times of its own (replay), else None."""
         return None
 
-    def skip_until(self, utc: datetime) -> None:
+    def skip_until(self, utc: datetime) -> None:  # noqa: B027 - doing nothing is right for live cameras
         """Pass over frames that are not later than ``utc``, so that a new worker goes on where the last one ended.
 
         Sources without times of their own have nothing to pass over.
