@@ -30,7 +30,7 @@ class Quantity(NamedTuple):
 
 QUANTITIES: tuple[Quantity, ...] = (
     Quantity("sag", "m", "chord sag: greatest vertical distance from the straight line A-B down to the conductor"),
-    Quantity("inplane_sag", "m", "greatest distance from the chord in the conductor's swung plane"),
+    Quantity("inplane_sag", "m", "the same in the conductor's swung plane, along apparent gravity"),
     Quantity("swing", "deg", "angle of the conductor's plane about the chord, positive towards the right seen from A"),
     Quantity("blowout", "m", "greatest horizontal displacement from the vertical plane through A and B"),
     Quantity("lowest_height", "m", "height of the lowest point in the site frame"),

@@ -69,8 +69,8 @@ def rotation_from_vector(rotation_vector: FloatArray) -> FloatArray:
     x, y, z = rotation_vector
     skew = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     if angle < 1e-12:
-        return np.eye(3) + skew
-    return np.eye(3) + np.sin(angle) / angle * skew + (1 - np.cos(angle)) / angle**2 * skew @ skew
+        return np.asarray(np.eye(3) + skew)
+    return np.asarray(np.eye(3) + np.sin(angle) / angle * skew + (1 - np.cos(angle)) / angle**2 * skew @ skew)
 
 
 def turned(pose: Pose, rotation_vector: FloatArray, shift: FloatArray) -> Pose:
@@ -91,11 +91,13 @@ def distort(intrinsics: Intrinsics, x: FloatArray, y: FloatArray) -> tuple[Float
         k = (*d, 0.0, 0.0, 0.0, 0.0)[:4]
         theta_d = theta * (1 + t2 * (k[0] + t2 * (k[1] + t2 * (k[2] + t2 * k[3]))))
         scale = np.where(r > 1e-12, theta_d / np.maximum(r, 1e-12), 1.0)
-        return x * scale, y * scale
+        return np.asarray(x * scale), np.asarray(y * scale)
     k1, k2, p1, p2, k3, k4, k5, k6 = (*d, *([0.0] * 8))[:8]
     radial = (1 + r2 * (k1 + r2 * (k2 + r2 * k3))) / (1 + r2 * (k4 + r2 * (k5 + r2 * k6)))
     xy = x * y
-    return x * radial + 2 * p1 * xy + p2 * (r2 + 2 * x * x), y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * xy
+    xd = x * radial + 2 * p1 * xy + p2 * (r2 + 2 * x * x)
+    yd = y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * xy
+    return np.asarray(xd), np.asarray(yd)
 
 
 def undistort(intrinsics: Intrinsics, u: FloatArray, v: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -1,0 +1,331 @@
+r"""The joint estimate: camera, attachments, sag and swing at once, maximum a posteriori.
+
+Unknowns θ, all small corrections to the survey but sag and swing::
+
+    0:3  turn of the camera, rad, camera frame        10:13  shift of attachment A, m
+    3:6  shift of the camera, m, site frame           13:16  shift of attachment B, m
+    6    relative change of the focal length          16     in-plane sag D, m
+    7:9  shift of the principal point, px             17     swing φ, rad
+    9    change of k1
+
+Observations: tracked landmarks (px), and offsets of the wire across the predicted curve (px). The survey's standard
+uncertainties are the prior. With J the derivatives and C the observations' covariances, Gauss-Newton steps with
+Levenberg damping minimise ``Σ rᵀC⁻¹r + (θ-θ₀)ᵀP⁻¹(θ-θ₀)``; the posterior covariance is ``(Σ JᵀC⁻¹J + P⁻¹)⁻¹``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sagnode.geometry.camera import FloatArray, Intrinsics, Pose, project, turned
+from sagnode.geometry.conductor import conductor_points
+from sagnode.geometry.quantities import Shape
+
+CAMERA = slice(0, 10)
+ATTACHMENTS = slice(10, 16)
+SAG, SWING = 16, 17
+SIZE = 18
+
+CORRELATED_PX = 0.06
+"""Standard deviation of what neighbouring offsets share: background gradients, residuals of the lens model."""
+CORRELATION_LENGTH_PX = 60.0
+
+
+@dataclass(frozen=True)
+class Survey:
+    """What is known of camera and conductor before looking; every ``_u`` is a standard uncertainty."""
+
+    intrinsics: Intrinsics
+    pose: Pose
+    near: FloatArray
+    far: FloatArray
+    orientation_u: float
+    """rad"""
+    position_u: float
+    focal_u_rel: float
+    principal_point_u: float
+    distortion_u: float
+    attachment_u: float
+    sag_range: tuple[float, float]
+    swing_u: float
+    """rad"""
+
+    def prior_sigma(self) -> FloatArray:
+        """Standard uncertainties of θ (18,); sag has a prior so wide that it says nothing within its range."""
+        sigma = np.empty(SIZE)
+        sigma[0:3] = self.orientation_u
+        sigma[3:6] = self.position_u
+        sigma[6] = self.focal_u_rel
+        sigma[7:9] = self.principal_point_u
+        sigma[9] = self.distortion_u
+        sigma[ATTACHMENTS] = self.attachment_u
+        sigma[SAG] = 10 * (self.sag_range[1] - self.sag_range[0])
+        sigma[SWING] = self.swing_u
+        # what is stated as exactly known still needs a positive variance
+        return np.maximum(sigma, 1e-9)
+
+    def prior_mean(self) -> FloatArray:
+        """θ₀ (18,): the survey itself, sag in the middle of its range, no swing."""
+        mean = np.zeros(SIZE)
+        mean[SAG] = 0.5 * (self.sag_range[0] + self.sag_range[1])
+        return mean
+
+    def camera(self, theta: FloatArray) -> tuple[Intrinsics, Pose]:
+        """Camera at θ."""
+        base = self.intrinsics
+        d = base.distortion
+        if theta[9] and base.model == "pinhole":
+            d = (d[0] + theta[9], *d[1:]) if d else (float(theta[9]), 0.0, 0.0, 0.0)
+        scale = 1 + float(theta[6])
+        intrinsics = replace(
+            base,
+            fx=base.fx * scale,
+            fy=base.fy * scale,
+            cx=base.cx + float(theta[7]),
+            cy=base.cy + float(theta[8]),
+            distortion=d,
+        )
+        return intrinsics, turned(self.pose, theta[0:3], theta[3:6])
+
+    def shape(self, theta: FloatArray) -> Shape:
+        """Conductor at θ."""
+        return Shape(self.near + theta[10:13], self.far + theta[13:16], float(theta[SAG]), float(theta[SWING]))
+
+    def curve(self, theta: FloatArray, t: FloatArray) -> FloatArray:
+        """Pixels (N, 2) of the conductor at θ."""
+        shape = self.shape(theta)
+        intrinsics, pose = self.camera(theta)
+        return project(intrinsics, pose, conductor_points(shape.near, shape.far, shape.sag, shape.swing, t))[0]
+
+
+@dataclass(frozen=True)
+class LandmarkObservations:
+    """Landmarks seen: surveyed positions (N, 3) with uncertainty (N,) m, pixels (N, 2) with uncertainty (N,) px."""
+
+    positions: FloatArray
+    position_u: FloatArray
+    pixels: FloatArray
+    pixel_u: FloatArray
+
+    @property
+    def count(self) -> int:
+        """How many."""
+        return len(self.positions)
+
+
+@dataclass(frozen=True)
+class CurveObservations:
+    """Offsets of the wire across the curve at some parameters.
+
+    Attributes:
+        t: curve parameters (M,).
+        arc: position along the curve, px (M,).
+        normal: unit normals (M, 2).
+        measured: pixels (M, 2) on the wire: curve plus offset along the normal.
+        sigma: white standard uncertainty of the offsets, px (M,).
+    """
+
+    t: FloatArray
+    arc: FloatArray
+    normal: FloatArray
+    measured: FloatArray
+    sigma: FloatArray
+
+
+@dataclass(frozen=True)
+class Solution:
+    """A maximum a posteriori estimate.
+
+    Attributes:
+        theta: estimate (18,).
+        covariance: posterior (18, 18).
+        information: by source of uncertainty, the matrices G with Σ G = covariance (18, 18): the printed budget.
+        residual: curve residuals, px (M,).
+        weight: robust weights (M,) in [0, 1].
+        landmark_residual: px (N, 2).
+        landmark_weight: robust weights (N,).
+        inflation: factor by which the curve's variance exceeded what was expected (at least 1).
+        converged: the last step was smaller than a hundredth of a standard uncertainty.
+    """
+
+    theta: FloatArray
+    covariance: FloatArray
+    information: dict[str, FloatArray]
+    residual: FloatArray
+    weight: FloatArray
+    landmark_residual: FloatArray
+    landmark_weight: FloatArray
+    inflation: float
+    converged: bool
+    budget_sources: tuple[str, ...] = field(default=())
+
+
+def _derivatives(function: object, theta: FloatArray, steps: FloatArray, active: NDArray[np.intp]) -> FloatArray:
+    """Central differences of ``function(theta) -> (N, 2)``: (N, 2, 18), zero for inactive unknowns."""
+    base_shape = function(theta).shape  # type: ignore[operator]
+    jacobian = np.zeros((*base_shape, SIZE))
+    for k in active:
+        shift = np.zeros(SIZE)
+        shift[k] = steps[k]
+        jacobian[..., k] = (function(theta + shift) - function(theta - shift)) / (2 * steps[k])  # type: ignore[operator]
+    return jacobian
+
+
+_STEPS = np.array([1e-6] * 3 + [1e-4] * 3 + [1e-6, 1e-2, 1e-2, 1e-6] + [1e-4] * 6 + [1e-4, 1e-5])
+
+
+def _landmark_terms(
+    survey: Survey, theta: FloatArray, seen: LandmarkObservations
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Residuals (N, 2), derivatives (N, 2, 18) and covariances (N, 2, 2) of the landmarks."""
+
+    def pixels(th: FloatArray) -> FloatArray:
+        intrinsics, pose = survey.camera(th)
+        return project(intrinsics, pose, seen.positions)[0]
+
+    residual = seen.pixels - pixels(theta)
+    jacobian = _derivatives(pixels, theta, _STEPS, np.arange(10))
+    # moving a landmark is moving the camera the other way: columns 3:6 hold -d(pixel)/d(position)
+    by_position = jacobian[..., 3:6]
+    covariance = np.einsum("nik,njk->nij", by_position, by_position) * (seen.position_u**2)[:, None, None]
+    covariance += np.eye(2) * (seen.pixel_u**2)[:, None, None]
+    return residual, jacobian, covariance
+
+
+def _curve_covariance(curve: CurveObservations) -> tuple[FloatArray, FloatArray]:
+    """White (M,) variances and correlated (M, M) covariance of the offsets, px²."""
+    distance = np.abs(curve.arc[:, None] - curve.arc[None, :])
+    return curve.sigma**2, CORRELATED_PX**2 * np.exp(-distance / CORRELATION_LENGTH_PX)
+
+
+def _robust(z2: FloatArray, limit: float) -> FloatArray:
+    """Cauchy weights of squared standardised residuals."""
+    return np.asarray(1.0 / (1.0 + z2 / limit**2))
+
+
+def solve(
+    survey: Survey,
+    start: FloatArray,
+    landmarks: LandmarkObservations | None,
+    curve: CurveObservations | None,
+    iterations: int = 12,
+) -> Solution:
+    """Maximum a posteriori θ from landmarks and curve offsets, either of which may be missing.
+
+    A curve keeps its measured pixels while θ moves; call again with offsets measured about the new curve until
+    nothing changes. Without a curve only the camera's ten unknowns move.
+    """
+    sigma0 = survey.prior_sigma()
+    mean0 = survey.prior_mean()
+    active = np.arange(SIZE) if curve is not None else np.arange(10)
+    theta = start.copy()
+    damping = 1e-6
+    precision0 = np.diag(1 / sigma0**2)
+    weight = np.ones(0 if curve is None else len(curve.t))
+    landmark_weight = np.ones(0 if landmarks is None else landmarks.count)
+    white = correlated = np.zeros(0)
+    if curve is not None:
+        white, correlated = _curve_covariance(curve)
+    inflation, converged = 1.0, False
+    lr, lj, lc = np.zeros((0, 2)), np.zeros((0, 2, SIZE)), np.zeros((0, 2, 2))
+    cr, cj = np.zeros(0), np.zeros((0, SIZE))
+
+    def terms(th: FloatArray) -> None:
+        nonlocal lr, lj, lc, cr, cj
+        if landmarks is not None and landmarks.count:
+            lr, lj, lc = _landmark_terms(survey, th, landmarks)
+        if curve is not None:
+            predicted = survey.curve(th, curve.t)
+            cr = np.sum((curve.measured - predicted) * curve.normal, axis=1)
+            moved = _derivatives(lambda x: survey.curve(x, curve.t), th, _STEPS, active)
+            cj = np.einsum("mik,mi->mk", moved, curve.normal)
+
+    information: dict[str, FloatArray] = {}
+    normal_matrix = precision0.copy()
+    for step_number in range(iterations):
+        terms(theta)
+        if len(lr):
+            inverse = np.linalg.inv(lc)
+            landmark_weight = _robust(np.einsum("ni,nij,nj->n", lr, inverse, lr), 3.5)
+        gradient = precision0 @ (mean0 - theta)
+        normal_matrix = precision0.copy()
+        if len(lr):
+            weighted = inverse * landmark_weight[:, None, None]
+            normal_matrix += np.einsum("nik,nij,njl->kl", lj, weighted, lj)
+            gradient += np.einsum("nik,nij,nj->k", lj, weighted, lr)
+        if curve is not None:
+            spread = max(1.4826 * float(np.median(np.abs(cr))), 1e-3)
+            scale2 = white + CORRELATED_PX**2 + (0.0 if step_number > 2 else spread**2)
+            weight = _robust(cr**2 / scale2, 2.5)
+            covariance = np.diag(white / np.maximum(weight, 1e-6)) + correlated
+            solved = np.linalg.solve(covariance, np.column_stack([cj, cr]))
+            inflation = _inflation(cr, covariance, weight)
+            normal_matrix += cj.T @ solved[:, :-1] / inflation
+            gradient += cj.T @ solved[:, -1] / inflation
+        scale = np.sqrt(np.diag(normal_matrix))
+        damped = normal_matrix / np.outer(scale, scale) + damping * np.eye(SIZE)
+        step = np.linalg.solve(damped, gradient / scale) / scale
+        step[np.setdiff1d(np.arange(SIZE), active)] = 0.0
+        # a step farther than the prior allows is a sign of a wrong wire or a wrong survey: walk, don't jump
+        ratio = float(np.max(np.abs(step[active]) / (3 * sigma0[active])))
+        theta = theta + step / max(1.0, ratio)
+        theta[SAG] = np.clip(theta[SAG], 0.2 * survey.sag_range[0], 2 * survey.sag_range[1])
+        theta[SWING] = np.clip(theta[SWING], -1.4, 1.4)
+        posterior = np.linalg.inv(normal_matrix)
+        if step_number >= 3 and np.all(np.abs(step[active]) < 0.01 * np.sqrt(np.diag(posterior))[active]):
+            converged = True
+            break
+    terms(theta)
+    posterior = np.linalg.inv(normal_matrix)
+    posterior = 0.5 * (posterior + posterior.T)
+    information = _budget(posterior, sigma0, lj, lc, landmark_weight, cj, white, correlated, weight, inflation)
+    return Solution(theta, posterior, information, cr, weight, lr, landmark_weight, inflation, converged)
+
+
+def _inflation(residual: FloatArray, covariance: FloatArray, weight: FloatArray) -> float:
+    """By how much the offsets scatter more than their covariance says: the Birge ratio squared, at least 1."""
+    variance = np.diag(covariance) * weight / np.maximum(weight, 1e-6)
+    effective = max(float(weight.sum()) - 4.0, 1.0)
+    chi2 = float(np.sum(weight * residual**2 / np.maximum(variance, 1e-12)))
+    return max(1.0, chi2 / effective)
+
+
+def _budget(
+    posterior: FloatArray,
+    sigma0: FloatArray,
+    lj: FloatArray,
+    lc: FloatArray,
+    landmark_weight: FloatArray,
+    cj: FloatArray,
+    white: FloatArray,
+    correlated: FloatArray,
+    weight: FloatArray,
+    inflation: float,
+) -> dict[str, FloatArray]:
+    """Split the posterior by source: Σ = Σ (P⁻¹ + Σ JᵀC⁻¹J) Σ, term by term; each piece is (18, 18)."""
+    groups = {
+        "orientation prior": [0, 1, 2],
+        "camera position": [3, 4, 5],
+        "intrinsics": [6, 7, 8, 9],
+        "near attachment": [10, 11, 12],
+        "far attachment": [13, 14, 15],
+        "sag prior": [SAG],
+        "swing prior": [SWING],
+    }
+    pieces: dict[str, FloatArray] = {}
+    for name, indices in groups.items():
+        precision = np.zeros((SIZE, SIZE))
+        precision[indices, indices] = 1 / sigma0[indices] ** 2
+        pieces[name] = posterior @ precision @ posterior
+    if len(lj):
+        weighted = np.linalg.inv(lc) * landmark_weight[:, None, None]
+        pieces["landmarks"] = posterior @ np.einsum("nik,nij,njl->kl", lj, weighted, lj) @ posterior
+    if len(cj):
+        variance = white / np.maximum(weight, 1e-6)
+        gain = np.linalg.solve(np.diag(variance) + correlated, cj) / inflation
+        pieces["pixel noise"] = posterior @ (gain.T * (variance * inflation)) @ gain @ posterior
+        pieces["correlated curve error"] = posterior @ gain.T @ (correlated * inflation) @ gain @ posterior
+    return pieces

@@ -1,0 +1,196 @@
+"""Landmarks: where the fixed points that were clicked in the reference picture are in this frame.
+
+Each landmark's patch is searched by normalised correlation in a window of the frame, all landmarks must agree on one
+movement of the camera, and the survivors are refined to sub-pixel by pyramid-free Lucas-Kanade on crops whose
+brightness and contrast have been equalised. Only crops are touched.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from sagnode.capture.port import GreyImage
+from sagnode.geometry.camera import FloatArray
+
+NCC_MIN = 0.55
+"""Least correlation of a landmark with its patch; unrelated textures reach this in far fewer than one of a hundred."""
+AGREE_PX = 4.0
+"""Landmarks that differ more than this from the shared shift, turn and scale are no longer themselves."""
+TRACK_U_PX = 0.06
+"""Standard uncertainty of a tracked position for a clear landmark."""
+MIN_TEXTURE = 2.0
+"""Standard deviation in grey levels below which a patch holds nothing to recognise."""
+
+
+@dataclass(frozen=True)
+class Patch:
+    """A landmark as it looked in the reference picture.
+
+    Attributes:
+        pixel: where it was clicked (2,).
+        image: the square around the rounded click, odd side.
+    """
+
+    pixel: FloatArray
+    image: GreyImage
+
+
+@dataclass(frozen=True)
+class Tracked:
+    """Landmarks found in a frame; arrays over all landmarks.
+
+    Attributes:
+        pixels: positions (N, 2); NaN where not found.
+        sigma: standard uncertainty of the tracking, px (N,).
+        correlation: best normalised correlation (N,).
+        found: which landmarks agree on one camera movement (N,).
+        visible: which landmarks lie wholly in the reference picture and have texture, so that they could be found (N,).
+    """
+
+    pixels: FloatArray
+    sigma: FloatArray
+    correlation: FloatArray
+    found: NDArray[np.bool_]
+    visible: NDArray[np.bool_]
+
+    @property
+    def count(self) -> int:
+        """Landmarks found."""
+        return int(self.found.sum())
+
+
+def cut_patch(reference: GreyImage, pixel: tuple[float, float], size_px: int) -> Patch | None:
+    """The patch of a landmark, or None where it reaches over the edge or holds no texture."""
+    half = size_px // 2
+    u, v = round(pixel[0]), round(pixel[1])
+    height, width = reference.shape
+    if u < half or v < half or u > width - 1 - half or v > height - 1 - half:
+        return None
+    image = reference[v - half : v + half + 1, u - half : u + half + 1].copy()
+    return Patch(np.array(pixel), image) if float(image.std()) >= MIN_TEXTURE else None
+
+
+def track(frame: GreyImage, patches: list[Patch | None], reach_px: float) -> Tracked:
+    """Find patches within ``reach_px`` of where they were clicked.
+
+    Several correlation peaks are kept per landmark; the movement (shift, rotation, scale) that most landmarks share
+    decides which peak is meant and which landmarks are outliers.
+    """
+    n = len(patches)
+    pixels, sigma, best = np.full((n, 2), np.nan), np.full(n, np.nan), np.zeros(n)
+    options: list[list[tuple[float, float, float]]] = []
+    for i, patch in enumerate(patches):
+        peaks = [] if patch is None else _peaks(frame, patch, int(np.ceil(reach_px)))
+        options.append(peaks)
+        best[i] = max((p[2] for p in peaks), default=0.0)
+    found = np.zeros(n, dtype=bool)
+    chosen = _consensus(patches, options)
+    for i, shift in chosen.items():
+        patch = patches[i]
+        if patch is None:
+            continue
+        refined, error = _refine(frame, patch, np.asarray(shift))
+        pixels[i], sigma[i], found[i] = refined, error, True
+    visible = np.array([p is not None for p in patches], dtype=bool)
+    return Tracked(pixels, sigma, best, found, visible)
+
+
+def _peaks(frame: GreyImage, patch: Patch, reach: int) -> list[tuple[float, float, float]]:
+    """Up to five (du, dv, correlation) at least NCC_MIN, best first."""
+    half = patch.image.shape[0] // 2
+    u, v = round(float(patch.pixel[0])), round(float(patch.pixel[1]))
+    height, width = frame.shape
+    left, top = max(0, u - half - reach), max(0, v - half - reach)
+    right, bottom = min(width, u + half + reach + 1), min(height, v + half + reach + 1)
+    window = frame[top:bottom, left:right]
+    if window.shape[0] < patch.image.shape[0] or window.shape[1] < patch.image.shape[1]:
+        return []
+    score = cv2.matchTemplate(window, patch.image, cv2.TM_CCOEFF_NORMED)
+    score = np.where(np.isfinite(score), score, 0.0)
+    peaks = []
+    for _ in range(5):
+        row, column = np.unravel_index(int(np.argmax(score)), score.shape)
+        value = float(score[row, column])
+        if value < NCC_MIN:
+            break
+        peaks.append((left + column + half - u, top + row + half - v, value))
+        score[max(0, row - 3) : row + 4, max(0, column - 3) : column + 4] = -1.0
+    return [(float(a), float(b), c) for a, b, c in peaks]
+
+
+def _consensus(
+    patches: list[Patch | None], options: list[list[tuple[float, float, float]]]
+) -> dict[int, tuple[float, float]]:
+    """The peak of each landmark that fits the similarity which most landmarks share (weighted by correlation)."""
+    candidates = [(i, du, dv, c) for i, peaks in enumerate(options) for du, dv, c in peaks]
+    if not candidates:
+        return {}
+    clicked = np.array([p.pixel if p is not None else (np.nan, np.nan) for p in patches])
+    index = np.array([c[0] for c in candidates])
+    source = clicked[index]
+    shift = np.array([[c[1], c[2]] for c in candidates])
+    weight = np.array([c[3] for c in candidates])
+
+    def support(predicted: FloatArray) -> tuple[float, dict[int, tuple[float, float]]]:
+        error = np.hypot(*(shift - predicted).T)
+        picked: dict[int, int] = {}
+        for k in np.argsort(error):
+            if error[k] <= AGREE_PX:
+                picked.setdefault(int(index[k]), int(k))
+        total = sum(weight[k] * (1 - 0.5 * error[k] / AGREE_PX) for k in picked.values())
+        return total, {i: (shift[k, 0], shift[k, 1]) for i, k in picked.items()}
+
+    best: tuple[float, dict[int, tuple[float, float]]] = (0.0, {})
+    for a in range(len(candidates)):
+        trial = support(np.broadcast_to(shift[a], shift.shape))
+        best = max(best, trial, key=lambda s: s[0])
+        for b in range(a + 1, len(candidates)):
+            baseline = source[b] - source[a]
+            if index[a] == index[b] or np.hypot(*baseline) < 50:
+                continue
+            # similarity as a complex factor: turn and scale from the pair
+            factor = complex(*(baseline + shift[b] - shift[a])) / complex(*baseline)
+            if abs(abs(factor) - 1) > 0.05 or abs(np.angle(factor)) > 0.15:
+                continue
+            moved = (factor - 1) * ((source[:, 0] - source[a, 0]) + 1j * (source[:, 1] - source[a, 1]))
+            trial = support(shift[a] + np.stack([moved.real, moved.imag], axis=1))
+            best = max(best, trial, key=lambda s: s[0])
+    return best[1]
+
+
+def _equalised(image: GreyImage) -> GreyImage:
+    """Mean 128, standard deviation 40: light and haze change these between two pictures of one thing."""
+    grey = image.astype(np.float32)
+    gain = 40.0 / max(float(grey.std()), 1.0)
+    return np.asarray(np.clip((grey - grey.mean()) * gain + 128.0, 0, 255), dtype=np.uint8)
+
+
+def _refine(frame: GreyImage, patch: Patch, shift: FloatArray) -> tuple[FloatArray, float]:
+    """Sub-pixel position (2,) of a landmark near ``click + shift``, and its standard uncertainty, px."""
+    half = patch.image.shape[0] // 2
+    u, v = round(float(patch.pixel[0])), round(float(patch.pixel[1]))
+    fraction = patch.pixel - (u, v)
+    cu, cv_ = int(u + shift[0]), int(v + shift[1])
+    crop = frame[cv_ - half : cv_ + half + 1, cu - half : cu + half + 1]
+    coarse = patch.pixel + shift
+    if crop.shape != patch.image.shape:
+        return coarse, 0.5
+    window = max(7, (2 * half + 1) - 8)
+    start = np.array([[[half, half]]], dtype=np.float32)
+    moved, status, _ = cv2.calcOpticalFlowPyrLK(
+        _equalised(patch.image),
+        _equalised(crop),
+        start,
+        start.copy(),
+        winSize=(window, window),
+        maxLevel=0,
+        criteria=(cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 40, 1e-3),
+    )
+    step = np.asarray(moved)[0, 0] - half
+    if not int(np.asarray(status).ravel()[0]) or float(np.hypot(*step)) > 2.0:
+        return coarse, 0.5
+    return np.array([cu, cv_]) + fraction + step, TRACK_U_PX

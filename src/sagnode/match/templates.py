@@ -1,0 +1,204 @@
+"""Template library: conductor curves for a grid of sag and swing, seen by the camera at its present pose.
+
+A space Bézier seen in perspective is a rational quadratic Bézier whose weights are the depths of its control points
+(design: §2), so a template is indexed by what we want to know and needs no perspective step of its own. The catenary's
+departure from its parabola is added in space before projection, and distortion after it point by point: both exact.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sagnode.capture.port import GreyImage
+from sagnode.geometry.camera import FloatArray, Intrinsics, Pose, inside, project
+from sagnode.geometry.conductor import conductor_points, control_points
+from sagnode.match.ribbon import SIDE_OFFSET_PX, normals, pair_response
+
+SAMPLES = 128
+STEP_PX = 1.6
+"""Largest movement of any visible point of the curve from one template to the next; a wire's response is ±1 px wide."""
+MAX_TEMPLATES = 24_000
+POOL_PX = (-3.0, -1.5, 0.0, 1.5, 3.0)
+"""Offsets across the curve whose best response counts where the grid must be coarser than STEP_PX."""
+
+
+@dataclass(frozen=True)
+class View:
+    """A conductor as a camera sees it: everything a curve in the picture depends on but sag, swing and skew."""
+
+    intrinsics: Intrinsics
+    pose: Pose
+    near: FloatArray
+    far: FloatArray
+    diameter: float
+    """Of the wire, or the outer width of the bundle, m."""
+
+    def pixels(self, sag: float, swing: float, t: FloatArray, skew: float = 0.5) -> tuple[FloatArray, FloatArray]:
+        """Pixels (N, 2) and depths (N,) of one curve; NaN where it is not ahead of the camera."""
+        return project(self.intrinsics, self.pose, conductor_points(self.near, self.far, sag, swing, t, skew))
+
+    def width_px(self, depth: FloatArray) -> FloatArray:
+        """Projected width of the conductor, px, at depths (N,) m."""
+        with np.errstate(invalid="ignore", divide="ignore"):
+            return np.asarray(np.where(depth > 1e-3, self.diameter * self.intrinsics.fx / depth, np.nan))
+
+    def rational_bezier(self, sag: float, swing: float, skew: float = 0.5) -> tuple[FloatArray, FloatArray]:
+        """Control points (3, 2) px and weights (3,) of the parabola's picture through a perfect lens.
+
+        A weight is a control point's depth; it is negative for one behind the camera, where the curve stays valid.
+        """
+        space = control_points(self.near, self.far, sag, swing, skew)
+        camera = (space - self.pose.position) @ self.pose.rotation.T
+        homogeneous = camera @ self.intrinsics.matrix.T
+        weights = homogeneous[:, 2]
+        return np.asarray(homogeneous[:, :2] / weights[:, None]), np.asarray(weights)
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A local maximum of the coarse search."""
+
+    sag: float
+    swing: float
+    score: float
+    visible: float
+
+
+def even_parameters(view: View, sag: float, swing: float, count: int, margin: float = 3.0) -> FloatArray:
+    """Curve parameters (count,) that are evenly spaced in the picture over the visible part of one curve.
+
+    Fewer than two parameters come back when nothing is visible.
+    """
+    # uneven start: in a view along the line the near metres take most of the picture
+    t = np.concatenate([np.linspace(0.0, 0.2, 800, endpoint=False), np.linspace(0.2, 1.0, 800)])
+    pixels, _ = view.pixels(sag, swing, t)
+    seen = inside(view.intrinsics, pixels, margin)
+    if np.count_nonzero(seen) < 2:
+        return np.empty(0)
+    step = np.hypot(*np.diff(np.nan_to_num(pixels), axis=0).T)
+    step[~(seen[1:] & seen[:-1])] = 0.0
+    arc = np.concatenate([[0.0], np.cumsum(step)])
+    wanted = np.linspace(0.0, arc[-1], count)
+    # arc is flat where the curve is hidden; keep its strictly rising part
+    rising = np.concatenate([[True], np.diff(arc) > 0])
+    return np.interp(wanted, arc[rising], t[rising])
+
+
+def _grid(low: float, high: float, step: float) -> FloatArray:
+    count = max(2, int(np.ceil((high - low) / step)) + 1)
+    return np.linspace(low, high, count)
+
+
+def _sensitivity(view: View, sag: float, swing: float, t: FloatArray) -> tuple[float, float]:
+    """Greatest movement of a visible point across the curve, px per metre of sag and per radian of swing."""
+    base, _ = view.pixels(sag, swing, t)
+    normal = normals(base)
+
+    def movement(other: FloatArray, step: float) -> float:
+        moved = np.abs(np.sum((other - base) * normal, axis=1)) / step
+        return float(np.nanpercentile(moved, 98)) if np.isfinite(moved).any() else 0.0
+
+    step = 1e-3 * sag
+    return (
+        movement(view.pixels(sag + step, swing, t)[0], step),
+        movement(view.pixels(sag, swing + 1e-3, t)[0], 1e-3),
+    )
+
+
+def search(
+    image: GreyImage,
+    view: View,
+    sag_range: tuple[float, float],
+    swing_max: float,
+    swing_u: float,
+    keep: int = 8,
+) -> list[Candidate]:
+    """Coarse search over sag × swing; the best, well separated candidates, best first.
+
+    Args:
+        image: raw grey frame.
+        view: the conductor as the camera sees it now.
+        sag_range: smallest and largest in-plane sag, m.
+        swing_max: largest swing, rad; a view that cannot tell swing is searched at zero only.
+        swing_u: standard uncertainty of the swing's prior, rad.
+        keep: most candidates.
+    """
+    middle = 0.5 * (sag_range[0] + sag_range[1])
+    t = even_parameters(view, middle, 0.0, SAMPLES)
+    if t.size < 2:
+        return []
+    per_sag, per_swing = _sensitivity(view, middle, 0.0, t)
+    if per_sag <= 0:
+        return []
+    step, pooled = STEP_PX, False
+    # what a swing of one prior sigma does beyond what sag does decides whether swing is worth searching
+    swing_needed = per_swing * swing_max > 2 * STEP_PX and swing_max > 0
+
+    def counts(step: float) -> tuple[int, int]:
+        n_sag = int(np.ceil((sag_range[1] - sag_range[0]) * per_sag / step)) + 1
+        n_swing = 2 * int(np.ceil(swing_max * per_swing / step)) + 1 if swing_needed else 1
+        return n_sag, n_swing
+
+    while np.prod(counts(step)) > MAX_TEMPLATES:
+        step, pooled = step * 1.25, True
+    n_sag, n_swing = counts(step)
+    sags = np.linspace(*sag_range, max(2, n_sag))
+    swings = np.linspace(-swing_max, swing_max, n_swing) if n_swing > 1 else np.zeros(1)
+    scores, visible = _scores(image, view, sags, swings, t, pooled)
+    # the prior on swing breaks ties where the view hardly sees it, and no more
+    prior = 0.5 * (swings / swing_u) ** 2 * 0.05
+    ranked = scores - prior[None, :]
+    ranked = np.where(visible >= 0.2 * visible.max(initial=0.0), ranked, -np.inf)
+    return _peaks(ranked, scores, visible, sags, swings, keep)
+
+
+def _scores(
+    image: GreyImage, view: View, sags: FloatArray, swings: FloatArray, t: FloatArray, pooled: bool
+) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
+    """Mean response and visible share (S, W) of all templates."""
+    scores = np.empty((len(sags), len(swings)), dtype=np.float32)
+    visible = np.empty((len(sags), len(swings)))
+    chunk = max(1, 4096 // len(sags))
+    for start in range(0, len(swings), chunk):
+        some = swings[start : start + chunk]
+        grid_sag, grid_swing = (g.ravel() for g in np.meshgrid(sags, some, indexing="ij"))
+        space = conductor_points(view.near, view.far, grid_sag, grid_swing, t)
+        pixels, depth = project(view.intrinsics, view.pose, space)
+        normal = normals(pixels)
+        side = np.maximum(SIDE_OFFSET_PX, 0.5 * view.width_px(depth) + 1.5)[..., None] * normal
+        if pooled:
+            stack = np.stack([pair_response(image, pixels + k * normal, side) for k in POOL_PX])
+            filled = np.where(np.isnan(stack), -np.inf, stack).max(axis=0)
+            response = np.where(np.isfinite(filled), filled, np.nan)
+        else:
+            response = pair_response(image, pixels, side)
+        seen = np.isfinite(response)
+        count = seen.sum(axis=1)
+        total = np.where(seen, response, 0.0).sum(axis=1)
+        shape = (len(sags), len(some))
+        scores[:, start : start + chunk] = (total / np.maximum(count, 1)).reshape(shape)
+        visible[:, start : start + chunk] = (count / len(t)).reshape(shape)
+    return scores, visible
+
+
+def _peaks(
+    ranked: NDArray[np.floating],
+    scores: NDArray[np.float32],
+    visible: NDArray[np.float64],
+    sags: FloatArray,
+    swings: FloatArray,
+    keep: int,
+) -> list[Candidate]:
+    """Local maxima of the ranked grid, non-maxima within two steps suppressed."""
+    left = ranked.copy()
+    found: list[Candidate] = []
+    for _ in range(keep):
+        i, j = np.unravel_index(int(np.argmax(left)), left.shape)
+        if not np.isfinite(left[i, j]):
+            break
+        found.append(Candidate(float(sags[i]), float(swings[j]), float(scores[i, j]), float(visible[i, j])))
+        left[max(0, i - 2) : i + 3, max(0, j - 2) : j + 3] = -np.inf
+    return found
