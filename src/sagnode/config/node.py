@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import string
+from collections.abc import Iterator
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from sagnode.config.base import Model, Name
 
@@ -34,6 +37,24 @@ class ReplaySource(Model):
     """RFC 3339 time of the first frame, with cadence_s."""
     at_end: Literal["stop", "hold", "loop"] = "stop"
     """After the last frame: stop the node, report stale frames, or begin again."""
+
+    @field_validator("start")
+    @classmethod
+    def _start_is_a_time(cls, start: str | None) -> str | None:
+        if start is not None:
+            try:
+                aware = datetime.fromisoformat(start).tzinfo is not None
+            except ValueError:
+                raise ValueError('must be a time in RFC 3339, such as "2026-06-21T04:00:00Z"') from None
+            if not aware:
+                raise ValueError(f'must say its zone, such as "{start}Z" for UTC')
+        return start
+
+    @model_validator(mode="after")
+    def _start_needs_cadence(self) -> ReplaySource:
+        if self.start is not None and self.cadence_s is None:
+            raise ValueError("start needs cadence_s; without it the files' own times are kept")
+        return self
 
 
 class V4l2Source(Model):
@@ -82,7 +103,7 @@ class Camera(Model):
     @model_validator(mode="after")
     def _source_given(self) -> Camera:
         if self.backend == "replay" and self.replay is None:
-            raise ValueError('camera: backend = "replay" needs a table [camera.replay] with a path')
+            raise ValueError('backend = "replay" needs a table [camera.replay] with a path')
         return self
 
 
@@ -100,8 +121,23 @@ class Schedule(Model):
     @model_validator(mode="after")
     def _one_trigger(self) -> Schedule:
         if (self.interval_s is None) == (self.cron is None):
-            raise ValueError("schedule: give exactly one of interval_s and cron")
+            raise ValueError("give exactly one of interval_s and cron")
         return self
+
+    @field_validator("cron")
+    @classmethod
+    def _cron_is_understood(cls, cron: str | None) -> str | None:
+        if cron is not None:
+            # The scheduler's own word counts; imported here, since only a node with such a schedule pays for it.
+            from apscheduler.triggers.cron import CronTrigger
+
+            try:
+                CronTrigger.from_crontab(cron, timezone=UTC)
+            except (ValueError, TypeError) as error:
+                raise ValueError(
+                    f"{error}; must be five fields: minute, hour, day of month, month, day of week"
+                ) from None
+        return cron
 
 
 class Measure(Model):
@@ -148,7 +184,7 @@ class Tls(Model):
     @model_validator(mode="after")
     def _pair(self) -> Tls:
         if (self.cert_file is None) != (self.key_file is None):
-            raise ValueError("mqtt.tls: cert_file and key_file go together")
+            raise ValueError("cert_file and key_file go together")
         return self
 
 
@@ -175,16 +211,32 @@ class Mqtt(Model):
     backlog_per_s: float = Field(default=50.0, gt=0)
     """Rate at which old readings are drained after an outage."""
 
+    @field_validator("prefix")
+    @classmethod
+    def _prefix_is_a_topic(cls, prefix: str) -> str:
+        known = {"utility", "line", "span", "unit"}
+        try:
+            fields = {field for _, field, _, _ in string.Formatter().parse(prefix) if field is not None}
+        except ValueError as error:
+            raise ValueError(f"{error}; write {{utility}}, {{line}}, {{span}} or {{unit}}") from None
+        if fields - known:
+            raise ValueError(
+                f"unknown field {{{min(fields - known)}}}; there are {{utility}}, {{line}}, {{span}}, {{unit}}"
+            )
+        if not prefix or set("+#\0") & set(prefix) or prefix.startswith(("/", "$")) or prefix.endswith("/"):
+            raise ValueError("must be a topic: not empty, without + and #, no / at either end, no $ in front")
+        return prefix
+
     @model_validator(mode="after")
     def _encrypted_or_said_twice(self) -> Mqtt:
         local = self.host in {"localhost", "127.0.0.1", "::1"}
         if self.tls is None and not local and not self.insecure_plaintext:
             raise ValueError(
-                f"mqtt: {self.host} would be spoken to in plain text; add a table [mqtt.tls],"
+                f"{self.host} would be spoken to in plain text; add a table [mqtt.tls],"
                 " or say insecure_plaintext = true"
             )
         if self.password_file is not None and self.username is None:
-            raise ValueError("mqtt: password_file needs a username")
+            raise ValueError("password_file needs a username")
         return self
 
 
@@ -205,6 +257,12 @@ class Node(Model):
 
     @model_validator(mode="after")
     def _virtual_clock_needs_replay(self) -> Node:
-        if self.schedule.clock == "virtual" and self.camera.backend != "replay":
-            raise ValueError('schedule: clock = "virtual" works with camera backend "replay" only')
+        for where, message in inconsistencies(self.camera, self.schedule):
+            raise ValueError(f"{where}: {message}")
         return self
+
+
+def inconsistencies(camera: Camera | None, schedule: Schedule | None) -> Iterator[tuple[str, str]]:
+    """Contradictions between tables that are each right by themselves: (table, sentence) pairs."""
+    if schedule and camera and schedule.clock == "virtual" and camera.backend != "replay":
+        yield "schedule", f'clock = "virtual" works with camera backend "replay" only, and this is "{camera.backend}"'

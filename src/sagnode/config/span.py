@@ -15,10 +15,11 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from sagnode.config.base import Model, Name, Pixel, Point, PositiveM
 
@@ -68,13 +69,11 @@ class Conductor(Model):
     def _possible(self) -> Conductor:
         span = math.hypot(self.far[0] - self.near[0], self.far[1] - self.near[1])
         if span < 1e-3:
-            raise ValueError(f"conductor {self.id}: near and far lie above each other; a span needs horizontal length")
+            raise ValueError("near and far lie above each other; a span needs horizontal length")
         if self.sag_max_m <= self.sag_min_m:
-            raise ValueError(f"conductor {self.id}: sag_max_m must exceed sag_min_m")
+            raise ValueError("sag_max_m must exceed sag_min_m")
         if self.sag_max_m > 0.25 * span:
-            raise ValueError(
-                f"conductor {self.id}: sag_max_m = {self.sag_max_m:g} exceeds a quarter of the span ({span:.1f} m)"
-            )
+            raise ValueError(f"sag_max_m = {self.sag_max_m:g} exceeds a quarter of the span ({span:.1f} m)")
         return self
 
 
@@ -90,7 +89,7 @@ class Obstacle(Model):
     @model_validator(mode="after")
     def _ordered(self) -> Obstacle:
         if self.along_m[0] > self.along_m[1]:
-            raise ValueError(f"obstacle {self.id}: along_m must go from small to large")
+            raise ValueError("along_m must go from small to large")
         return self
 
 
@@ -107,7 +106,7 @@ class Ground(Model):
     def _ascending(self) -> Ground:
         along = [a for a, _ in self.profile]
         if any(b <= a for a, b in itertools.pairwise(along)):
-            raise ValueError("ground.profile: the first number of each pair must ascend")
+            raise ValueError("profile: the first number of each pair must ascend")
         return self
 
 
@@ -183,23 +182,48 @@ class Span(Model):
     swing: Swing = Swing()
     limits: Limits = Limits()
 
+    @field_validator("conductors")
+    @classmethod
+    def _one_is_measured(cls, conductors: tuple[Conductor, ...]) -> tuple[Conductor, ...]:
+        if not any(c.measured for c in conductors):
+            raise ValueError("none has measured = true, so there would be nothing to report")
+        return conductors
+
     @model_validator(mode="after")
     def _consistent(self) -> Span:
-        named = {"conductors": [c.id for c in self.conductors], "landmarks": [m.id for m in self.landmarks]}
-        for what, ids in named.items():
-            twice = sorted({i for i in ids if ids.count(i) > 1})
-            if twice:
-                raise ValueError(f"{what}: id used twice: {', '.join(twice)}")
-        if not any(c.measured for c in self.conductors):
-            raise ValueError("conductors: none has measured = true")
-        for conductor in self.conductors:
-            distance = _distance_to_chord(self.camera.position, conductor.near, conductor.far)
-            if conductor.measured and distance < 0.02:
-                raise ValueError(
-                    f"camera: stands on the chord of conductor {conductor.id} ({distance:.3f} m off);"
-                    " from there its sag cannot be seen"
-                )
+        for where, message in inconsistencies(self.conductors, self.landmarks, self.ground.obstacles, self.camera):
+            raise ValueError(f"{where}: {message}")
         return self
+
+
+def inconsistencies(
+    conductors: Sequence[Conductor],
+    landmarks: Sequence[Landmark],
+    obstacles: Sequence[Obstacle],
+    camera: CameraSurvey | None,
+) -> Iterator[tuple[str, str]]:
+    """Contradictions between tables that are each right by themselves: (table, sentence) pairs.
+
+    Takes the tables singly, so that they are found while other tables of the file still hold faults.
+    """
+    named = {
+        "conductors": [c.id for c in conductors],
+        "landmarks": [m.id for m in landmarks],
+        "ground.obstacles": [o.id for o in obstacles],
+    }
+    for what, ids in named.items():
+        twice = sorted({i for i in ids if ids.count(i) > 1})
+        if twice:
+            yield what, f"id used twice: {', '.join(twice)}; give each its own"
+    if camera is None:
+        return
+    for conductor in conductors:
+        distance = _distance_to_chord(camera.position, conductor.near, conductor.far)
+        if conductor.measured and distance < 0.02:
+            text = (
+                f"position stands on the chord of conductor {conductor.id} ({distance:.3f} m off), from where its sag"
+            )
+            yield "camera", f"{text} cannot be seen; check position, near and far"
 
 
 def _distance_to_chord(p: Point, a: Point, b: Point) -> PositiveM:

@@ -1,0 +1,255 @@
+"""Reads the node file and the span file; every fault of both is found in one go.
+
+This module imports neither NumPy nor OpenCV, for the daemon uses it. What needs them (the content of the calibration
+file, the geometry of the survey) is looked at by :mod:`sagnode.config.check` and by the worker.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from sagnode.config import node as node_model
+from sagnode.config import span as span_model
+from sagnode.config.document import Document, read_document, read_file, salvage, salvage_list, validate
+from sagnode.config.faults import Fault
+from sagnode.config.node import Node
+from sagnode.config.span import Span
+from sagnode.errors import ConfigError
+
+NODE_FILE = "node.toml"
+SPAN_FILE = "span.toml"
+
+
+@dataclass(frozen=True)
+class LoadedSpan:
+    """A survey that can be used."""
+
+    span: Span
+    """Its files as absolute paths."""
+    path: Path
+    """The span file, absolute."""
+    configuration_id: str
+    """12 hexadecimal digits of SHA-256 over the span and the content of the files that it names."""
+
+
+@dataclass(frozen=True)
+class LoadedNode:
+    """A configuration that can be used."""
+
+    node: Node
+    """Its files as absolute paths."""
+    span: Span
+    """Its files as absolute paths."""
+    path: Path
+    """The node file, absolute."""
+    span_path: Path
+    """The span file, absolute."""
+    configuration_id: str
+    """12 hexadecimal digits of SHA-256 over node, span and the content of the files that the span names.
+
+    It is made of the values in effect: neither comments, nor written-out defaults, nor moving the directory change it.
+    """
+
+
+@dataclass(frozen=True)
+class Examined:
+    """Everything that was found out about a configuration."""
+
+    loaded: LoadedNode | LoadedSpan | None
+    """None when there are faults."""
+    documents: tuple[Document, ...]
+    """The files that were read: the one that was named, then the span file if the first was a node file."""
+
+    @property
+    def faults(self) -> tuple[Fault, ...]:
+        """Every fault, in the order of the files."""
+        return tuple(fault for document in self.documents for fault in document.faults)
+
+
+def load_node(path: Path) -> LoadedNode:
+    """Read a node file and the span file that it names.
+
+    Args:
+        path: the node file, or a directory that holds ``node.toml``.
+
+    Raises:
+        ConfigError: with every fault of both files.
+    """
+    examined = examine(path)
+    if isinstance(examined.loaded, LoadedNode):
+        return examined.loaded
+    if isinstance(examined.loaded, LoadedSpan):
+        raise ConfigError(
+            f"{path} is a span file, and this needs the node file that names it",
+            f"give the path of a file with [unit], span_file, [camera] and [schedule]; {_INIT}",
+        )
+    raise _refusal(path, examined.faults)
+
+
+def load_span(path: Path) -> LoadedSpan:
+    """Read a span file alone.
+
+    Args:
+        path: the span file, or a directory that holds ``span.toml``.
+
+    Raises:
+        ConfigError: with every fault.
+    """
+    document = read_document(_file_in(path, SPAN_FILE))
+    loaded = _examine_span(document)
+    if loaded is None:
+        raise _refusal(path, document.faults)
+    return loaded
+
+
+def load_any(path: Path) -> LoadedNode | LoadedSpan:
+    """Read a node file with its span, or a span file alone, whichever ``path`` is.
+
+    Args:
+        path: a node file, a span file, or a directory that holds ``node.toml`` or else ``span.toml``.
+
+    Raises:
+        ConfigError: with every fault.
+    """
+    examined = examine(path)
+    if examined.loaded is None:
+        raise _refusal(path, examined.faults)
+    return examined.loaded
+
+
+def examine(path: Path) -> Examined:
+    """Read a node file with its span, or a span file alone, and tell every fault instead of raising."""
+    document = read_document(_file_in(path, NODE_FILE, SPAN_FILE))
+    if document.data is not None and _is_span(document.data):
+        return Examined(_examine_span(document), (document,))
+    node = validate(document, Node, _node_contradictions)
+    span_name = (document.data or {}).get("span_file")
+    if not isinstance(span_name, str):
+        return Examined(None, (document,))
+    span_document = read_document(document.path.parent / span_name)
+    if span_document.data is None:
+        # Not to be read at all: the name may be at fault as well as the file, so say where it stands.
+        for fault in span_document.faults:
+            document.blame(("span_file",), str(fault) if fault.line else fault.text)
+        return Examined(None, (document,))
+    loaded_span = _examine_span(span_document)
+    if node is None or loaded_span is None:
+        return Examined(None, (document, span_document))
+    digest = _digest([_effective(node), loaded_span.configuration_id.encode()])
+    resolved = _resolved_node(node, document.path.parent)
+    loaded = LoadedNode(resolved, loaded_span.span, document.path, span_document.path, digest)
+    return Examined(loaded, (document, span_document))
+
+
+_INIT = "'sagnode config init' writes files to start from"
+
+
+def _refusal(path: Path, faults: Iterable[Fault]) -> ConfigError:
+    sentences = tuple(str(fault) for fault in faults)
+    what = sentences[0] if len(sentences) == 1 else f"{len(sentences)} faults in the configuration {path}"
+    return ConfigError(what, f"mend this, then look again with: sagnode config check --config {path}", sentences)
+
+
+def _file_in(path: Path, *names: str) -> Path:
+    """The file that a path means, absolute: itself, or the first of the names that is in that directory."""
+    absolute = Path(os.path.abspath(path))  # noqa: PTH100 - resolve() would follow links, and names should stay the user's
+    if not absolute.is_dir():
+        return absolute
+    return next((absolute / name for name in names if (absolute / name).is_file()), absolute / names[0])
+
+
+def _is_span(data: dict[str, Any]) -> bool:
+    """Whether these are a span file's keys rather than a node file's."""
+    return len(data.keys() & Span.model_fields.keys()) > len(data.keys() & Node.model_fields.keys())
+
+
+def _examine_span(document: Document) -> LoadedSpan | None:
+    span = validate(document, Span, _span_contradictions)
+    camera = (document.data or {}).get("camera")
+    contents = list(_file_contents(document, camera)) if isinstance(camera, dict) else []
+    if span is None or document.faults:
+        return None
+    digest = _digest([_effective(span), *contents])
+    return LoadedSpan(_resolved_span(span, document.path.parent), document.path, digest)
+
+
+def _file_contents(document: Document, camera: dict[str, Any]) -> Iterator[bytes]:
+    """Content of the files that a span names; one that cannot be read is a fault."""
+    for key in ("intrinsics", "reference_image"):
+        name = camera.get(key)
+        if isinstance(name, str):
+            content = read_file(document.path.parent / name)
+            if isinstance(content, str):
+                document.blame(("camera", key), content)
+            else:
+                yield content
+
+
+def _node_contradictions(data: dict[str, Any]) -> Iterable[tuple[str, str]]:
+    return node_model.inconsistencies(
+        salvage(node_model.Camera, data.get("camera")), salvage(node_model.Schedule, data.get("schedule"))
+    )
+
+
+def _span_contradictions(data: dict[str, Any]) -> Iterable[tuple[str, str]]:
+    ground = data.get("ground")
+    return span_model.inconsistencies(
+        salvage_list(span_model.Conductor, data.get("conductors")),
+        salvage_list(span_model.Landmark, data.get("landmarks")),
+        salvage_list(span_model.Obstacle, ground.get("obstacles") if isinstance(ground, dict) else None),
+        salvage(span_model.CameraSurvey, data.get("camera")),
+    )
+
+
+def _effective(model: Node | Span) -> bytes:
+    return json.dumps(model.model_dump(mode="json"), sort_keys=True).encode()
+
+
+def _digest(parts: Iterable[bytes]) -> str:
+    digest = hashlib.sha256()
+    for part in parts:
+        digest.update(len(part).to_bytes(8, "big") + part)
+    return digest.hexdigest()[:12]
+
+
+def _resolved_span(span: Span, base: Path) -> Span:
+    camera = span.camera
+    files = {
+        "intrinsics": base / camera.intrinsics,
+        "reference_image": camera.reference_image and base / camera.reference_image,
+    }
+    return span.model_copy(update={"camera": camera.model_copy(update=files)})
+
+
+def _resolved_node(node: Node, base: Path) -> Node:
+    camera = node.camera
+    if camera.replay is not None:
+        replay = camera.replay.model_copy(update={"path": str(base / camera.replay.path)})
+        camera = camera.model_copy(update={"replay": replay})
+    storage = node.storage
+    if storage.state_dir is not None:
+        storage = storage.model_copy(update={"state_dir": base / storage.state_dir})
+    mqtt = node.mqtt
+    if mqtt is not None:
+        tls = mqtt.tls
+        if tls is not None:
+            names = {"ca_file": tls.ca_file, "cert_file": tls.cert_file, "key_file": tls.key_file}
+            tls = tls.model_copy(update={key: name and _secret(name, base) for key, name in names.items()})
+        password_file = mqtt.password_file and _secret(mqtt.password_file, base)
+        mqtt = mqtt.model_copy(update={"tls": tls, "password_file": password_file})
+    update = {"span_file": base / node.span_file, "camera": camera, "storage": storage, "mqtt": mqtt}
+    return node.model_copy(update=update)
+
+
+def _secret(name: Path, base: Path) -> Path:
+    """A password or key file: systemd's copy of it (LoadCredential=) if there is one, else below ``base``."""
+    credentials = os.environ.get("CREDENTIALS_DIRECTORY")
+    if credentials and not name.is_absolute() and (Path(credentials) / name).exists():
+        return Path(credentials) / name
+    return base / name
