@@ -158,10 +158,12 @@ def _refusal(path: Path, faults: Iterable[Fault]) -> ConfigError:
 
 def _file_in(path: Path, *names: str) -> Path:
     """The file that a path means, absolute: itself, or the first of the names that is in that directory."""
-    absolute = Path(os.path.abspath(path))  # noqa: PTH100 - resolve() would follow links, and names should stay the user's
-    if not absolute.is_dir():
+    # os.path and not Path's methods: names stay the user's (resolve() follows links), and a directory that may not be
+    # looked into is no exception here but a fault when the file is read.
+    absolute = Path(os.path.abspath(path))  # noqa: PTH100
+    if not os.path.isdir(absolute):  # noqa: PTH112
         return absolute
-    return next((absolute / name for name in names if (absolute / name).is_file()), absolute / names[0])
+    return next((absolute / name for name in names if os.path.isfile(absolute / name)), absolute / names[0])  # noqa: PTH113
 
 
 def _is_span(data: dict[str, Any]) -> bool:
@@ -173,6 +175,7 @@ def _examine_span(document: Document) -> LoadedSpan | None:
     span = validate(document, Span, _span_contradictions)
     camera = (document.data or {}).get("camera")
     contents = list(_file_contents(document, camera)) if isinstance(camera, dict) else []
+    document.faults.sort(key=lambda fault: fault.line or 0)
     if span is None or document.faults:
         return None
     digest = _digest([_effective(span), *contents])
