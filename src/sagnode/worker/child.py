@@ -1,0 +1,200 @@
+"""The worker's own life: read the configuration, open the camera, then one line in, one burst measured, one line out.
+
+It never decides to give up on a reading's deadline or on memory: the daemon kills it. Whatever it cannot do it says
+with a :class:`sagnode.worker.protocol.Fault`; a fatal one is its last line.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import hashlib
+import os
+import sys
+import time
+import traceback
+from datetime import datetime
+from pathlib import Path
+from typing import IO, TYPE_CHECKING
+
+from pydantic import ValidationError
+
+from sagnode.errors import EndOfFrames, FrameError, SagnodeError
+from sagnode.message import ReasonMessage
+from sagnode.quality import Cause, Reason
+from sagnode.worker import confine
+from sagnode.worker.protocol import ConductorResult, Fault, Hello, MeasureReply, MeasureRequest, WorkerLine
+
+if TYPE_CHECKING:
+    from sagnode.capture.port import Frame, FrameSource
+    from sagnode.config.load import LoadedNode
+    from sagnode.pipeline import ConductorMeasurement, Site
+
+EXIT_FATAL = 70
+"""After a fatal fault (sysexits.h: internal software error)."""
+
+
+def main(argv: list[str]) -> int:
+    """Entry of the child process; returns its exit status."""
+    parser = argparse.ArgumentParser(prog="python -m sagnode.worker")
+    parser.add_argument("--config", type=Path, required=True)
+    parser.add_argument("--requests-fd", type=int, required=True)
+    parser.add_argument("--replies-fd", type=int, required=True)
+    parser.add_argument("--parent", type=int, required=True)
+    parser.add_argument("--resume-after", type=datetime.fromisoformat, default=None)
+    args = parser.parse_args(argv)
+    if not confine.die_with_parent(args.parent):
+        return 0
+    confine.volunteer_for_oom()
+    with os.fdopen(args.requests_fd, "rb") as requests, os.fdopen(args.replies_fd, "wb") as replies:
+        try:
+            return _Worker(args.config, args.resume_after, replies).serve(requests)
+        except BrokenPipeError:
+            return 0  # the daemon has gone
+        except KeyboardInterrupt:
+            return 130
+        except Exception as error:  # noqa: BLE001 - outermost loop of the process: its last words
+            traceback.print_exc()
+            kind = Cause.WORKER_CRASHED
+            text = f"worker: {type(error).__name__}: {error}; it is started anew, its log has the traceback"
+            with contextlib.suppress(OSError):
+                _send(replies, Fault(reason=ReasonMessage.of(Reason(kind, text)), fatal=True))
+            return EXIT_FATAL
+
+
+class _Worker:
+    """One configuration, one camera, one site."""
+
+    def __init__(self, config: Path, resume_after: datetime | None, replies: IO[bytes]) -> None:
+        self._config = config
+        self._resume_after = resume_after
+        self._replies = replies
+
+    def serve(self, requests: IO[bytes]) -> int:
+        """Answer requests until the daemon closes the pipe."""
+        # Imported here so that a broken installation of OpenCV or of a camera library is told by a line.
+        from sagnode.capture import open_source
+        from sagnode.config.load import load_node
+        from sagnode.pipeline import load_site
+
+        try:
+            loaded = load_node(self._config)
+            site = load_site(loaded.span, loaded.node.measure)
+        except SagnodeError as error:
+            return self._fatal(Cause.BAD_CALIBRATION, str(error))
+        source = open_source(loaded.node.camera)
+        try:
+            source.open()
+            if self._resume_after is not None:
+                source.skip_until(self._resume_after)
+        except FrameError as error:
+            source.close()
+            return self._fatal(error.cause, str(error))
+        confine.limit_growth(loaded.node.worker.memory_max_mb)
+        try:
+            self._say(
+                Hello(
+                    pid=os.getpid(),
+                    camera=source.describe(),
+                    calibration_id=_calibration_id(loaded.span.camera.intrinsics),
+                    first_frame_at=source.first_frame_at(),
+                )
+            )
+            return self._answer(requests, loaded, site, source)
+        finally:
+            source.close()
+
+    def _answer(self, requests: IO[bytes], loaded: LoadedNode, site: Site, source: FrameSource) -> int:
+        live = source.first_frame_at() is None
+        camera_lost = False
+        for line in requests:
+            try:
+                request = MeasureRequest.model_validate_json(line)
+            except ValidationError as error:
+                return self._fatal(Cause.WORKER_GARBAGE, f"request not understood: {error.error_count()} faults")
+            try:
+                if camera_lost:
+                    source.open()
+                    camera_lost = False
+                self._say(_measure(request, loaded, site, source))
+            except EndOfFrames as error:
+                self._say(Fault(id=request.id, reason=ReasonMessage.of(error.reason), end_of_frames=True))
+            except FrameError as error:
+                # A live camera is closed and opened anew for the next reading; files would begin from their start.
+                if live and error.cause is Cause.CAMERA_FAULT:
+                    source.close()
+                    camera_lost = True
+                self._say(Fault(id=request.id, reason=ReasonMessage.of(error.reason)))
+            except MemoryError:
+                limit = loaded.node.worker.memory_max_mb
+                text = f"worker: more than {limit} MB beyond its start; raise worker.memory_max_mb if this repeats"
+                return self._fatal(Cause.WORKER_CRASHED, text, request.id)
+        return 0
+
+    def _fatal(self, cause: Cause, text: str, request_id: int | None = None) -> int:
+        self._say(Fault(id=request_id, reason=ReasonMessage.of(Reason(cause, text)), fatal=True))
+        return EXIT_FATAL
+
+    def _say(self, line: WorkerLine) -> None:
+        _send(self._replies, line)
+
+
+def _send(replies: IO[bytes], line: WorkerLine) -> None:
+    replies.write(line.model_dump_json().encode() + b"\n")
+    replies.flush()
+
+
+def _measure(request: MeasureRequest, loaded: LoadedNode, site: Site, source: FrameSource) -> MeasureReply:
+    """One burst, measured."""
+    from sagnode.pipeline import measure_burst
+
+    camera = loaded.node.camera
+    frames = source.burst(camera.burst, camera.burst_interval_s)
+    started = time.monotonic()
+    measurements = measure_burst(site, [frame.image for frame in frames])
+    elapsed = time.monotonic() - started
+    overlays = _draw(Path(request.overlay_dir), site, frames, measurements) if request.overlay_dir else {}
+    return MeasureReply(
+        id=request.id,
+        acquired_at=frames[0].utc,
+        monotonic_s=frames[0].monotonic_s,
+        camera=source.describe(),
+        results=tuple(_result(measurement) for measurement in measurements),
+        overlays=overlays,
+        elapsed_s=elapsed,
+        memory_mb=confine.resident_mb(),
+        next_frame_at=source.first_frame_at(),
+    )
+
+
+def _result(measurement: ConductorMeasurement) -> ConductorResult:
+    fields = {name: getattr(measurement, name) for name in ConductorResult.model_fields}
+    fields["reasons"] = tuple(ReasonMessage.of(reason) for reason in measurement.reasons)
+    return ConductorResult.model_validate(fields)
+
+
+def _draw(directory: Path, site: Site, frames: list[Frame], measurements: list[ConductorMeasurement]) -> dict[str, str]:
+    """Write ``<conductor>.jpg`` for each conductor; a disk that refuses costs the picture, not the reading."""
+    import cv2
+
+    from sagnode.overlay import draw_overlay
+
+    written = {}
+    for measurement in measurements:
+        picture = draw_overlay(site, frames[-1].image, [measurement])
+        encoded, jpeg = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, 85])
+        path = directory / f"{measurement.conductor}.jpg"
+        try:
+            if encoded:
+                half_written = path.with_suffix(".jpg.part")
+                half_written.write_bytes(jpeg.tobytes())
+                half_written.replace(path)
+                written[measurement.conductor] = str(path)
+        except OSError as error:
+            print(f"picture {path}: {error}", file=sys.stderr)
+    return written
+
+
+def _calibration_id(intrinsics: Path) -> str:
+    """Names the intrinsics in use: the first twelve hexadecimal digits of their file's SHA-256."""
+    return hashlib.sha256(intrinsics.read_bytes()).hexdigest()[:12]
