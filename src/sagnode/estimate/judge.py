@@ -1,0 +1,128 @@
+"""Judgement: whether a measurement may be told, and with what reasons."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from sagnode.capture.port import GreyImage
+from sagnode.estimate.locate import Matched, attachment_z, visible_share
+from sagnode.quality import Cause, Reason, Validity
+from sagnode.site import Site, SiteConductor
+
+DARK_LEVEL = 12.0
+"""Grey level below which even the brightest hundredth of the picture shows nothing."""
+OVEREXPOSED_SHARE = 0.6
+"""Share of saturated pixels above which wires are burnt away."""
+FLAT_DEVIATION = 2.5
+"""Standard deviation of grey levels of a picture in which nothing is to be seen: covered lens, dense fog."""
+SCORE_MIN = 8.0
+"""Robust z-score over the shifted curves below which a wire is not proven."""
+SUPPORT_MIN = 0.30
+"""Least share of the blocks in view that must lie on the curve; without a wire about one in ten does by chance."""
+VISIBLE_MIN = 0.25
+VISIBLE_GOOD = 0.40
+"""Shares of the span that must be seen for a questionable and for a good reading."""
+SAG_U_MAX = 0.10
+"""Relative standard uncertainty of sag above which a number is no measurement."""
+PRIOR_Z_MAX = 5.0
+"""Corrections to the survey beyond this many of its own standard uncertainties mean another wire or a wrong survey."""
+RIVAL_MAX = 0.92
+"""A different curve that explains the picture this well, relative to the best, leaves open which one is meant."""
+
+
+def look(site: Site, image: GreyImage) -> list[Reason]:
+    """Why a frame cannot be measured at all: wrong size, dark, burnt out, flat. Looks at every eighth pixel only."""
+    wanted = (site.intrinsics.height, site.intrinsics.width)
+    if image.shape != wanted:
+        text = (
+            f"the frame is {image.shape[1]}x{image.shape[0]}, the calibration is for {wanted[1]}x{wanted[0]};"
+            " capture in the calibrated mode, or calibrate this one"
+        )
+        return [Reason(Cause.BAD_CALIBRATION, text)]
+    sample = image[::8, ::8]
+    bright = float(np.percentile(sample, 99))
+    if bright < DARK_LEVEL:
+        return [Reason(Cause.DARK, f"the picture is dark (99 % of it below grey level {bright:.0f} of 255)")]
+    saturated = float(np.mean(sample >= 254))
+    if saturated > OVEREXPOSED_SHARE:
+        return [Reason(Cause.OVEREXPOSED, f"{100 * saturated:.0f} % of the picture is saturated; shorten the exposure")]
+    deviation = float(sample.std())
+    if deviation < FLAT_DEVIATION:
+        text = (
+            f"the picture is flat (standard deviation {deviation:.1f} grey levels): fog, or something covers the lens"
+        )
+        return [Reason(Cause.LOW_CONTRAST, text)]
+    return []
+
+
+def judge(site: Site, conductor: SiteConductor, found: Matched | None) -> tuple[Validity, list[Reason]]:
+    """Validity and reasons of one conductor's estimate; an invalid one carries no numbers."""
+    if found is None:
+        return Validity.INVALID, [Reason(Cause.NO_CONDUCTOR, "no curve of this conductor lies on anything like a wire")]
+    invalid = [*_not_a_wire(found), *_not_this_conductor(conductor, found), *_not_certain(found)]
+    if invalid:
+        return Validity.INVALID, invalid
+    doubtful = _doubts(site, found)
+    return (Validity.QUESTIONABLE, doubtful) if doubtful else (Validity.GOOD, [])
+
+
+def _not_a_wire(found: Matched) -> list[Reason]:
+    if found.score < SCORE_MIN or found.support < SUPPORT_MIN:
+        text = (
+            f"no wire stands out where the conductor should be: score {found.score:.1f} (needs {SCORE_MIN:g}),"
+            f" {100 * found.support:.0f} % of the curve in view on it (needs {100 * SUPPORT_MIN:g} %)"
+        )
+        return [Reason(Cause.NO_CONDUCTOR, text)]
+    visible = visible_share(found)
+    if visible < VISIBLE_MIN:
+        text = f"only {100 * visible:.0f} % of the span is visible (needs {100 * VISIBLE_MIN:g} %)"
+        return [Reason(Cause.TOO_LITTLE_VISIBLE, text)]
+    return []
+
+
+def _not_this_conductor(conductor: SiteConductor, found: Matched) -> list[Reason]:
+    reasons = []
+    if found.rival > RIVAL_MAX:
+        text = f"another curve fits {100 * found.rival:.0f} % as well; which wire is meant?"
+        reasons.append(Reason(Cause.AMBIGUOUS, text))
+    contradiction = attachment_z(found)
+    if contradiction > PRIOR_Z_MAX:
+        text = (
+            f"the picture contradicts the surveyed attachments by {contradiction:.1f} of their standard uncertainty;"
+            " another wire, or a wrong survey"
+        )
+        reasons.append(Reason(Cause.AMBIGUOUS, text))
+    low, high = conductor.survey.sag_range
+    sag, sag_u = found.sag
+    if not low - 3 * sag_u <= sag <= high + 3 * sag_u:
+        text = f"sag {sag:.2f} m is outside the possible {low:g} to {high:g} m of the survey"
+        reasons.append(Reason(Cause.OUTSIDE_LIMITS, text))
+    return reasons
+
+
+def _not_certain(found: Matched) -> list[Reason]:
+    reasons = []
+    if not found.solution.converged:
+        reasons.append(Reason(Cause.NOT_CONVERGED, "the joint estimate of camera and conductor did not settle"))
+    sag, sag_u = found.sag
+    if sag_u > SAG_U_MAX * sag:
+        text = f"standard uncertainty of sag is {100 * sag_u / sag:.0f} % of it; the view or the survey is too weak"
+        reasons.append(Reason(Cause.UNCERTAIN, text))
+    return reasons
+
+
+def _doubts(site: Site, found: Matched) -> list[Reason]:
+    reasons = []
+    visible = visible_share(found)
+    if visible < VISIBLE_GOOD:
+        text = f"only {100 * visible:.0f} % of the span is visible (good from {100 * VISIBLE_GOOD:g} %)"
+        reasons.append(Reason(Cause.TOO_LITTLE_VISIBLE, text))
+    swing, swing_u = found.swing
+    if abs(swing) - 2 * swing_u > site.swing_questionable:
+        reasons.append(Reason(Cause.WIND_SWING, f"the conductor is swung by {np.degrees(swing):.0f}°"))
+    _, sag_u = found.sag
+    limit = site.limits.sag_u_max_m
+    if limit is not None and sag_u > limit:
+        text = f"standard uncertainty of sag {sag_u:.3f} m exceeds the configured {limit:g} m"
+        reasons.append(Reason(Cause.UNCERTAIN, text))
+    return reasons

@@ -1,0 +1,85 @@
+"""Registration: where the camera is in this frame."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from sagnode.capture.port import GreyImage
+from sagnode.estimate.joint import LandmarkObservations, Solution, Survey, solve
+from sagnode.geometry.camera import FloatArray
+from sagnode.match.landmarks import Tracked, track
+from sagnode.quality import Cause, Reason
+from sagnode.site import Site
+
+MIN_LANDMARKS = 3
+"""Fewer cannot tell a moved camera from a mistaken landmark."""
+RESIDUAL_MAX_PX = 4.0
+
+
+@dataclass(frozen=True)
+class Registered:
+    """The camera in one frame, as the landmarks show it."""
+
+    theta: FloatArray
+    landmarks: LandmarkObservations | None
+    tracked: Tracked | None
+    residual_px: float | None
+    movement_px: float | None
+
+
+def register(site: Site, image: GreyImage) -> tuple[Registered, list[Reason]]:
+    """Where the camera is in this frame: landmarks found in it, with the surveyed pose as the prior."""
+    survey = site.conductors[0].survey
+    start = survey.prior_mean()
+    if not len(site.landmark_ids):
+        return Registered(start, None, None, None, None), []
+    if site.patches is None:
+        # no reference picture: the clicks say where the camera was when it was surveyed, and the camera has not moved
+        seen = LandmarkObservations(
+            site.landmark_positions, site.landmark_position_u, site.landmark_clicks, site.landmark_click_u
+        )
+        solution = solve(survey, start, seen, None)
+        return Registered(solution.theta, seen, None, _landmark_rms(solution), None), []
+    tracked = track(image, list(site.patches), site.max_movement_px + 8)
+    possible = int(tracked.visible.sum())
+    needed = min(MIN_LANDMARKS, max(1, possible))
+    if tracked.count < needed:
+        text = (
+            f"{tracked.count} of {possible} landmarks recognised (needs {needed}): fog, night, a covered lens"
+            " or a camera that looks elsewhere"
+        )
+        return Registered(start, None, tracked, None, None), [Reason(Cause.LANDMARKS_LOST, text)]
+    keep = tracked.found
+    shift = np.median(tracked.pixels[keep] - site.landmark_clicks[keep], axis=0)
+    movement = float(np.hypot(*shift))
+    seen = LandmarkObservations(
+        site.landmark_positions[keep],
+        site.landmark_position_u[keep],
+        tracked.pixels[keep],
+        np.hypot(site.landmark_click_u[keep], tracked.sigma[keep]),
+    )
+    moved = moved_survey(survey, movement)
+    solution = solve(moved, start, seen, None)
+    residual = _landmark_rms(solution)
+    registered = Registered(solution.theta, seen, tracked, residual, movement)
+    if movement > site.max_movement_px:
+        text = f"the landmarks have moved by {movement:.0f} px (limit {site.max_movement_px:g}); survey the camera anew"
+        return registered, [Reason(Cause.CAMERA_MOVED, text)]
+    if residual > RESIDUAL_MAX_PX:
+        text = f"the landmarks fit no place of the camera (residual {residual:.1f} px); check survey and clicks"
+        return registered, [Reason(Cause.BAD_CALIBRATION, text)]
+    return registered, []
+
+
+def moved_survey(survey: Survey, movement_px: float) -> Survey:
+    """The survey with an orientation prior wide enough for the movement that the landmarks have shown."""
+    sway = movement_px / survey.intrinsics.fx
+    return replace(survey, orientation_u=float(np.hypot(survey.orientation_u, sway)))
+
+
+def _landmark_rms(solution: Solution) -> float:
+    weight = solution.landmark_weight
+    squared = np.sum(solution.landmark_residual**2, axis=1) / 2
+    return float(np.sqrt(np.sum(weight * squared) / max(float(weight.sum()), 1e-9)))

@@ -1,0 +1,157 @@
+"""From a curve that is nearly right to sub-pixel observations of the wire across it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sagnode.capture.port import GreyImage
+from sagnode.geometry.camera import FloatArray
+from sagnode.match.localise import Blocks, localise
+from sagnode.match.ribbon import SIDE_OFFSET_PX, arc_length, normals, pair_response
+from sagnode.match.templates import View, even_parameters
+
+BLOCK_PX = 8.0
+SHIFTS_PX = (-31.0, -23.0, -16.0, 16.0, 23.0, 31.0)
+"""Where the same curve is laid beside the wire to learn what the background alone looks like."""
+MAX_SAMPLES = 6000
+
+
+@dataclass(frozen=True)
+class Track:
+    """One curve in the picture, sampled about one pixel apart over its visible part.
+
+    Attributes:
+        t: curve parameters (N,).
+        pixels: (N, 2).
+        normal: unit normals (N, 2).
+        width: projected width of the conductor, px (N,).
+        arc: position along the curve, px (N,).
+    """
+
+    t: FloatArray
+    pixels: FloatArray
+    normal: FloatArray
+    width: FloatArray
+    arc: FloatArray
+
+
+@dataclass(frozen=True)
+class Observed:
+    """The wire's offsets from a track, block by block, with what the background does at the same places.
+
+    Attributes:
+        track: the curve that was looked along.
+        t: curve parameter of each block's centre (M,).
+        arc: its position along the curve, px (M,).
+        pixel: its pixel on the curve (M, 2).
+        normal: unit normal there (M, 2).
+        offset: of the wire along the normal, px (M,).
+        sigma: white standard uncertainty of the offset, px (M,).
+        rank: share of shifted curves that look less like a wire here (M,), 0..1.
+        usable: blocks inside the frame, ranked above the background, not near another wire (M,).
+        masked: blocks left out because another wire runs there (M,).
+    """
+
+    track: Track
+    t: FloatArray
+    arc: FloatArray
+    pixel: FloatArray
+    normal: FloatArray
+    offset: FloatArray
+    sigma: FloatArray
+    rank: FloatArray
+    usable: NDArray[np.bool_]
+    masked: NDArray[np.bool_]
+
+
+def trace(view: View, sag: float, swing: float, margin: float = 3.0) -> Track | None:
+    """The visible part of a curve, one sample a pixel; None when fewer than two blocks of it are in the frame."""
+    rough = even_parameters(view, sag, swing, 64, margin)
+    if rough.size < 2:
+        return None
+    pixels, _ = view.pixels(sag, swing, rough)
+    length = float(np.nansum(np.hypot(*np.diff(pixels, axis=0).T)))
+    count = min(int(length) + 1, MAX_SAMPLES)
+    if count < 2 * BLOCK_PX:
+        return None
+    t = even_parameters(view, sag, swing, count, margin)
+    pixels, depth = view.pixels(sag, swing, t)
+    keep = np.isfinite(pixels).all(axis=1)
+    t, pixels, depth = t[keep], pixels[keep], depth[keep]
+    return Track(t, pixels, normals(pixels), view.width_px(depth), arc_length(pixels))
+
+
+def observe(image: GreyImage, track: Track, half_range: float, others: list[FloatArray]) -> Observed:
+    """Measure the wire's offset in every block of a track.
+
+    Args:
+        image: raw grey frame.
+        track: the predicted curve.
+        half_range: how far across the curve to look, px.
+        others: polylines (K, 2) of other known wires; blocks that could see them are masked.
+    """
+    blocks = localise(image, track.pixels, track.normal, track.width, half_range, BLOCK_PX)
+    rank = _rank(image, track, blocks, half_range)
+    index = np.clip(np.round(blocks.index).astype(np.intp), 0, len(track.t) - 1)
+    pixel, normal = track.pixels[index], track.normal[index]
+    masked = np.zeros(len(index), dtype=bool)
+    for other in others:
+        masked |= _near(pixel, normal, other, half_range + 3.0 + 0.5 * float(np.median(track.width)))
+    usable = blocks.valid & (rank >= 0.8) & ~masked
+    return Observed(
+        track,
+        track.t[index],
+        track.arc[index],
+        pixel,
+        normal,
+        blocks.offset,
+        blocks.sigma,
+        rank,
+        usable,
+        masked,
+    )
+
+
+def _rank(image: GreyImage, track: Track, blocks: Blocks, half_range: float) -> FloatArray:
+    """Share of the shifted curves on which the same block looks less like a wire (M,)."""
+    beaten = np.zeros(len(blocks.snr))
+    for shift in SHIFTS_PX:
+        away = np.sign(shift) * (abs(shift) + half_range)
+        aside = localise(image, track.pixels + away * track.normal, track.normal, track.width, half_range, BLOCK_PX)
+        # a block that leaves the frame when shifted proves nothing, for or against
+        beaten += np.where(aside.valid, blocks.snr > aside.snr, 0.5)
+    return beaten / len(SHIFTS_PX)
+
+
+def _near(pixel: FloatArray, normal: FloatArray, other: FloatArray, reach: float) -> NDArray[np.bool_]:
+    """Which points (M, 2) have another polyline (K, 2) within ``reach`` px across the curve (and 12 px along it)."""
+    finite = other[np.isfinite(other).all(axis=1)]
+    if not len(finite):
+        return np.zeros(len(pixel), dtype=bool)
+    difference = finite[None, :, :] - pixel[:, None, :]
+    across = np.einsum("mki,mi->mk", difference, normal)
+    along = difference[..., 0] * normal[:, None, 1] - difference[..., 1] * normal[:, None, 0]
+    result: NDArray[np.bool_] = ((np.abs(across) < reach) & (np.abs(along) < 12.0)).any(axis=1)
+    return result
+
+
+def shifted_score(image: GreyImage, track: Track) -> tuple[float, float]:
+    """Mean response on a track, and its robust z-score among the same curve shifted 8 to 40 px to both sides."""
+    shifts = np.concatenate([[0.0], np.arange(8.0, 41.0, 2.0), -np.arange(8.0, 41.0, 2.0)])
+    every = max(1, len(track.t) // 400)
+    pixels, normal, width = track.pixels[::every], track.normal[::every], track.width[::every]
+    centre = pixels[None] + shifts[:, None, None] * normal[None]
+    side = np.maximum(SIDE_OFFSET_PX, 0.5 * width + 1.5)[:, None] * normal
+    response = pair_response(image, centre, np.broadcast_to(side, centre.shape))
+    with np.errstate(invalid="ignore"):
+        seen = np.isfinite(response)
+        means = np.where(seen, response, 0.0).sum(axis=1) / np.maximum(seen.sum(axis=1), 1)
+    usable = seen.sum(axis=1) > 0.5 * seen[0].sum()
+    background = means[1:][usable[1:]]
+    if len(background) < 6:
+        return float(means[0]), 0.0
+    centre_of, spread = np.median(background), 1.4826 * np.median(np.abs(background - np.median(background)))
+    return float(means[0]), float((means[0] - centre_of) / max(spread, 0.05))

@@ -1,0 +1,131 @@
+"""Overlays: what was measured, drawn on the frame it was measured in. For eyes; nothing is computed here."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from sagnode.capture.port import GreyImage
+from sagnode.geometry.camera import FloatArray
+from sagnode.measurement import Drawing, FrameMeasurement
+from sagnode.message import Estimate
+from sagnode.quality import Validity
+
+ColourImage = NDArray[np.uint8]
+
+_CURVES = ((80, 220, 60), (60, 180, 255), (255, 150, 60), (220, 90, 220), (230, 230, 70), (120, 120, 255))
+_CHORD = (200, 200, 200)
+_LOWEST = (0, 255, 255)
+_CLEARANCE = (60, 60, 255)
+_LANDMARK = (255, 210, 0)
+_SHIFT = 4
+"""Fractional bits of OpenCV's drawing coordinates: a sixteenth of a pixel."""
+
+
+def draw_overlay(image: GreyImage, measurements: Sequence[FrameMeasurement]) -> ColourImage:
+    """The frame in colour with curves, lowest points, clearances with their places, landmarks and a legend."""
+    canvas = cv2.cvtColor(image, cv2.COLOR_GRAY2BGR)
+    scale = max(0.45, image.shape[1] / 2400)
+    for colour, measurement in zip(_colours(len(measurements)), measurements, strict=True):
+        drawing = measurement.drawing
+        if drawing is not None and measurement.validity is not Validity.INVALID:
+            _draw_conductor(canvas, drawing, colour, measurement, scale)
+    landmarks = next((m.drawing for m in measurements if m.drawing is not None), None)
+    if landmarks is not None:
+        _draw_landmarks(canvas, landmarks, scale)
+    _legend(canvas, measurements, scale)
+    return np.asarray(canvas, dtype=np.uint8)
+
+
+def _colours(count: int) -> list[tuple[int, int, int]]:
+    return [_CURVES[i % len(_CURVES)] for i in range(count)]
+
+
+def _polyline(canvas: ColourImage, pixels: FloatArray, colour: tuple[int, int, int], thickness: int = 1) -> None:
+    """Anti-aliased polyline through pixels (N, 2); gaps where they are NaN or far outside."""
+    height, width = canvas.shape[:2]
+    near = np.isfinite(pixels).all(axis=1) & (np.abs(pixels - (width / 2, height / 2)) < 4 * (width + height)).all(
+        axis=1
+    )
+    for run in np.split(np.arange(len(pixels)), np.flatnonzero(np.diff(near.astype(int))) + 1):
+        if len(run) > 1 and near[run[0]]:
+            points = np.round(pixels[run] * (1 << _SHIFT)).astype(np.int32)
+            cv2.polylines(canvas, [points], False, colour, thickness, cv2.LINE_AA, _SHIFT)
+
+
+def _at(pixel: FloatArray) -> tuple[int, int] | None:
+    if not np.isfinite(pixel).all() or np.abs(pixel).max() > 1e5:
+        return None
+    return round(float(pixel[0])), round(float(pixel[1]))
+
+
+def _text(canvas: ColourImage, text: str, at: tuple[int, int], colour: tuple[int, int, int], scale: float) -> None:
+    for shade, width in (((0, 0, 0), 3), (colour, 1)):
+        cv2.putText(canvas, text, at, cv2.FONT_HERSHEY_SIMPLEX, scale, shade, width, cv2.LINE_AA)
+
+
+def _draw_conductor(
+    canvas: ColourImage,
+    drawing: Drawing,
+    colour: tuple[int, int, int],
+    measurement: FrameMeasurement,
+    scale: float,
+) -> None:
+    _polyline(canvas, drawing.chord, _CHORD)
+    _polyline(canvas, drawing.curve, colour)
+    radius = max(4, round(9 * scale))
+    lowest = _at(drawing.lowest)
+    if lowest is not None:
+        cv2.drawMarker(canvas, lowest, _LOWEST, cv2.MARKER_DIAMOND, 2 * radius, 1, cv2.LINE_AA)
+    top, foot = _at(drawing.clearance[0]), _at(drawing.clearance[1])
+    if top is not None and foot is not None:
+        cv2.line(canvas, top, foot, _CLEARANCE, 1, cv2.LINE_AA)
+        for end in (top, foot):
+            cv2.line(canvas, (end[0] - radius, end[1]), (end[0] + radius, end[1]), _CLEARANCE, 1, cv2.LINE_AA)
+        clearance = measurement.estimates.get("clearance")
+        if clearance is not None:
+            middle = ((top[0] + foot[0]) // 2 + 6, (top[1] + foot[1]) // 2)
+            _text(canvas, f"{measurement.conductor} {clearance.value:.2f} m", middle, colour, scale)
+
+
+def _draw_landmarks(canvas: ColourImage, drawing: Drawing, scale: float) -> None:
+    size = max(8, round(22 * scale))
+    for found, predicted in zip(drawing.landmarks, drawing.predicted, strict=True):
+        at = _at(found)
+        if at is not None:
+            cv2.drawMarker(canvas, at, _LANDMARK, cv2.MARKER_CROSS, size, 1, cv2.LINE_AA)
+        where = _at(predicted)
+        if where is not None:
+            cv2.circle(canvas, where, size // 2, _LANDMARK, 1, cv2.LINE_AA)
+
+
+def _interval(estimate: Estimate | None, unit: str) -> str:
+    if estimate is None:
+        return "-"
+    return f"{estimate.value:.2f} [{estimate.lo:.2f} {estimate.hi:.2f}] {unit}"
+
+
+def _legend(canvas: ColourImage, measurements: Sequence[FrameMeasurement], scale: float) -> None:
+    """One line a conductor, and the key of the marks, on a darkened band at the lower edge."""
+    line = round(34 * scale)
+    height = line * (len(measurements) + 1) + round(14 * scale)
+    band = canvas[-height:]
+    band[:] = (band * 0.35).astype(np.uint8)
+    y = canvas.shape[0] - height + line
+    for colour, m in zip(_colours(len(measurements)), measurements, strict=True):
+        if m.estimates:
+            where = m.estimates.get("clearance_along")
+            place = "" if where is None else f" at {where.value:.0f} m"
+            text = (
+                f"{m.conductor}: sag {_interval(m.estimates.get('sag'), 'm')}"
+                f"  clearance {_interval(m.estimates.get('clearance'), 'm')}{place}  {m.validity}"
+            )
+        else:
+            text = f"{m.conductor}: {m.validity} ({', '.join(reason.cause for reason in m.reasons)})"
+        _text(canvas, text, (round(14 * scale), y), colour, scale)
+        y += line
+    key = "diamond: lowest point   red: least clearance   grey: chord   cross and circle: landmark seen and expected"
+    _text(canvas, key, (round(14 * scale), y), (220, 220, 220), 0.8 * scale)

@@ -1,0 +1,52 @@
+"""The way of a frame, top to bottom: look at it, register the camera, match and refine, solve, judge.
+
+``measure_burst`` is what the worker, ``sagnode measure``, the benchmarks and the tests call. It is a pure function of a
+:class:`sagnode.site.Site` and pictures. Undistortion is no pass of its own: curves are distorted point by point on
+their way into the raw frame, which is exact and touches only the pixels that are needed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from sagnode.capture.port import GreyImage
+from sagnode.estimate.combine import combine_burst
+from sagnode.estimate.judge import judge, look
+from sagnode.estimate.locate import locate
+from sagnode.estimate.register import register
+from sagnode.estimate.tell import tell
+from sagnode.measurement import ConductorMeasurement, FrameMeasurement, refused
+from sagnode.reference.measure import measure_by_reference
+from sagnode.site import Site, load_site
+
+__all__ = ["load_site", "measure_burst", "measure_frame"]
+
+
+def measure_burst(site: Site, images: Sequence[GreyImage]) -> list[ConductorMeasurement]:
+    """One reading of every measured conductor from the frames (height, width) uint8 of one burst."""
+    return combine_burst([measure_frame(site, image) for image in images])
+
+
+def measure_frame(site: Site, image: GreyImage) -> list[FrameMeasurement]:
+    """Measure every conductor of the span in one frame."""
+    # look: can anything be seen at all?
+    reasons = look(site, image)
+    if reasons:
+        return refused(site, reasons)
+    if site.method != "rational-bezier":
+        # the paper's matchers know no landmarks and no uncertainty; they are here to be compared with
+        return measure_by_reference(site, image)
+    # register: where is the camera now?
+    registered, reasons = register(site, image)
+    if reasons:
+        return refused(site, reasons, registered)
+    # match and refine, then solve: every conductor, known neighbours included
+    located = locate(site, image, registered)
+    results = []
+    for conductor in site.conductors:
+        if conductor.measured:
+            found = located.get(conductor.id)
+            # judge: may it be told? tell: the numbers and how sure they are
+            validity, reasons = judge(site, conductor, found)
+            results.append(tell(site, conductor, registered, found, validity, reasons))
+    return results
