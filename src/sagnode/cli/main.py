@@ -16,6 +16,7 @@ import os
 import sys
 import traceback
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Protocol, cast
 
 from sagnode import __version__
@@ -165,8 +166,8 @@ def _print_error(error: SagnodeError) -> None:
 
 
 def _print_defect(error: Exception) -> int:
-    where = traceback.extract_tb(error.__traceback__)
-    place = f" ({os.path.basename(where[-1].filename)}:{where[-1].lineno})" if where else ""  # noqa: PTH119 - text only
+    own = [frame for frame in traceback.extract_tb(error.__traceback__) if "sagnode" in Path(frame.filename).parts]
+    place = f" (at {Path(own[-1].filename).name}:{own[-1].lineno})" if own else ""
     print(f"sagnode: error: unexpected {type(error).__name__}: {error}{place}", file=sys.stderr)
     print("remedy: this is a defect; run again with SAGNODE_DEBUG=1 for the details to report", file=sys.stderr)
     _print_details(error)

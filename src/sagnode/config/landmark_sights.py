@@ -127,7 +127,8 @@ def _place_u_px(span: Span, landmark: Landmark, intrinsics: Intrinsics, depth: f
 def _turned_to_fit(intrinsics: Intrinsics, pose: Pose, points: FloatArray, clicked: FloatArray) -> Pose:
     """The pose turned so that the points (N, 3) fall nearest to the clicked pixels (N, 2), by Gauss-Newton.
 
-    Medians would hide one wrong landmark less well than they find it, so residuals are weighed down (Cauchy).
+    Large residuals count less (Cauchy's weight), so that one wrong landmark does not draw the camera towards itself and
+    throw suspicion on the right ones.
     """
     still = np.zeros(3)
     for _ in range(15):

@@ -184,12 +184,15 @@ def _examine_span(document: Document) -> LoadedSpan | None:
 
 def _file_contents(document: Document, camera: dict[str, Any]) -> Iterator[bytes]:
     """Content of the files that a span names; one that cannot be read is a fault."""
-    for key in ("intrinsics", "reference_image"):
+    for key, source in (
+        ("intrinsics", "make it with: sagnode calibrate"),
+        ("reference_image", "or leave this key out"),
+    ):
         name = camera.get(key)
         if isinstance(name, str):
             content = read_file(document.path.parent / name)
             if isinstance(content, str):
-                document.blame(("camera", key), content)
+                document.blame(("camera", key), f"{content}; {source}")
             else:
                 yield content
 
