@@ -1,0 +1,57 @@
+"""Sequence numbers that never repeat, even when the journal that counted them is lost.
+
+A small file beside the journal holds a ceiling: every number up to it may have been used. It is raised by a block,
+and forced to the disk, before a number above it is given out; one write for a thousand readings. Normally the journal
+itself says which number is next. When it is damaged, missing or older than the file, counting goes on above the
+ceiling: a consumer sees a gap, never the same number twice.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from sagnode.daemon.files import write_atomic
+
+BLOCK = 1000
+
+
+class Ceiling:
+    """The file with the ceiling.
+
+    Args:
+        path: where it is kept; two copies, so that one damaged file is no harm.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._paths = (path, path.with_name(path.name + ".copy"))
+        self.value = max((_read(p) for p in self._paths), default=0)
+        """Numbers up to this one may have been used; 0 on a new node."""
+
+    def cover(self, number: int) -> None:
+        """Raise the ceiling so that ``number`` may be used.
+
+        Raises:
+            OSError: the disk refuses; the number must not be used.
+        """
+        if number > self.value:
+            value = -(-number // BLOCK) * BLOCK
+            for path in self._paths:
+                write_atomic(path, f"{value}\n")
+            self.value = value
+
+    def next_after(self, newest: int | None, *, trusted: bool) -> int:
+        """The next number to use.
+
+        Args:
+            newest: the highest number in the journal, None when it is empty or gone.
+            trusted: whether the journal is known to hold everything that was ever committed to it.
+        """
+        following = (newest or 0) + 1
+        return following if trusted and following > self.value - BLOCK else max(following, self.value + 1)
+
+
+def _read(path: Path) -> int:
+    try:
+        return max(0, int(path.read_text(encoding="ascii")))
+    except (OSError, ValueError):
+        return 0
