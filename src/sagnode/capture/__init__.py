@@ -8,26 +8,21 @@ from sagnode.errors import ConfigError
 
 
 def open_source(camera: Camera) -> FrameSource:
-    """The configured back end, opened; only its own module is imported.
+    """The configured back end, not yet opened; only its own module is imported.
 
     Raises:
-        FrameError: the device or path cannot be opened; says what to do.
         ConfigError: the back end's table is missing or contradicts itself.
     """
-    source: FrameSource
     if camera.backend == "replay":
         from sagnode.capture.replay import Replay
 
         if camera.replay is None:
             raise ConfigError('camera: backend = "replay" without a table [camera.replay]', "add it, with a path")
-        source = Replay(camera.replay)
-    elif camera.backend == "v4l2":
+        return Replay(camera.replay)
+    if camera.backend == "v4l2":
         from sagnode.capture.v4l2 import V4l2
 
-        source = V4l2(camera.v4l2)
-    else:
-        from sagnode.capture.picamera2 import Picamera
+        return V4l2(camera.v4l2)
+    from sagnode.capture.picamera2 import Picamera
 
-        source = Picamera(camera.picamera2)
-    source.open()
-    return source
+    return Picamera(camera.picamera2)

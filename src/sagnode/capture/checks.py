@@ -1,0 +1,50 @@
+"""Frames that a faulty camera delivers without an error: constant, half written, or the same one again.
+
+A real sensor's noise makes no two rows and no two frames alike, bit for bit; only clipped ones are.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from sagnode.capture.port import GreyImage
+from sagnode.errors import FrameError
+from sagnode.quality import Cause
+
+_DARK = 16  # black of limited-range video
+_CABLE = "check the camera's cable and power; if it goes on, restart the node"
+
+
+def check_frame(image: GreyImage, previous: GreyImage | None, source: str) -> None:
+    """Refuse a frame (h, w) that is constant, ends in unwritten rows, or repeats the previous one from the same camera.
+
+    Raises:
+        FrameError: dark, bad-frame or stale-frame.
+    """
+    low, high = int(image.min()), int(image.max())
+    if low == high:
+        if high <= _DARK:
+            raise FrameError(f"{source}: black, every pixel is {low}", "lens cap, exposure, cable", Cause.DARK)
+        cause = Cause.OVEREXPOSED if low == 255 else Cause.BAD_FRAME
+        raise FrameError(f"{source}: every pixel is {low}", _CABLE, cause)
+    if previous is not None and previous.shape == image.shape:
+        repeated = _run_from_below((image == previous).all(axis=1))
+        if repeated == len(image):
+            raise FrameError(f"{source}: the same frame again, bit for bit", _CABLE, Cause.STALE_FRAME)
+        if repeated >= _few(image) and int(np.ptp(image[-repeated:])) > 0:
+            what = f"{source}: half a frame, its lower {repeated} rows are those of the frame before"
+            raise FrameError(what, _CABLE, Cause.BAD_FRAME)
+    unwritten = _run_from_below((image == image[-1, -1]).all(axis=1))
+    if unwritten >= _few(image) and image[-1, -1] < 255:
+        what = f"{source}: half a frame, its lower {unwritten} rows are all {image[-1, -1]}"
+        raise FrameError(what, _CABLE, Cause.BAD_FRAME)
+
+
+def _few(image: GreyImage) -> int:
+    return max(8, len(image) // 16)
+
+
+def _run_from_below(rows: np.ndarray) -> int:
+    """How many rows hold from the lowest upwards."""
+    misses = np.flatnonzero(~rows)
+    return len(rows) if misses.size == 0 else len(rows) - 1 - int(misses[-1])
