@@ -3,8 +3,9 @@
 Exit codes: 0 fine, 1 degraded or failed, 2 usage or bad configuration, 70 a defect of sagnode itself, 130 interrupted.
 
 A command is a module with ``HELP`` (one line), ``add_arguments(parser)`` and ``run(args) -> int``; it may have a
-``DESCRIPTION`` and an ``EPILOG`` for its own help. Nothing is imported for ``--version`` and ``--help``, and a command
-imports only what it uses, so that ``sagnode status`` answers at once on a Raspberry Pi.
+``DESCRIPTION`` and an ``EPILOG`` for its own help, and ``arrange(words) -> words`` to put its words in order before
+they are parsed. Nothing is imported for ``--version`` and ``--help``, and a command imports only what it uses, so that
+``sagnode status`` answers at once on a Raspberry Pi.
 """
 
 from __future__ import annotations
@@ -130,7 +131,8 @@ def _dispatch(words: list[str]) -> int:
         allow_abbrev=False,
     )
     command.add_arguments(parser)
-    return command.run(parser.parse_args(rest))
+    arrange = getattr(command, "arrange", list)
+    return command.run(parser.parse_args(arrange(rest)))
 
 
 def help_text() -> str:

@@ -54,23 +54,26 @@ def check(path: Path) -> Report:
 
 
 def _look_at_span(document: Document, loaded: LoadedNode | LoadedSpan) -> tuple[list[Fault], list[Fault]]:
-    """Faults of the calibration file, and warnings about the survey's geometry."""
+    """Faults of the calibration file and the reference image, and warnings about the survey's geometry."""
     span = loaded.span
     try:
         from sagnode.calibrate.files import load_intrinsics
-        from sagnode.config.sightlines import picture_size, survey_warnings
+        from sagnode.config.sightlines import reference_fault, survey_warnings
     except ImportError as error:
         text = f"the calibration file and the geometry were not looked at, for {error.name} cannot be imported"
         return [], [document.fault((), text)]
+    faults: list[Fault] = []
     try:
         intrinsics = load_intrinsics(span.camera.intrinsics)
-        reference_size = picture_size(span.camera.reference_image) if span.camera.reference_image else None
     except ConfigError as error:
         return [document.fault(("camera", "intrinsics"), fault) for fault in error.faults], []
-    said = list(survey_warnings(span, intrinsics, reference_size))
+    if span.camera.reference_image is not None:
+        wrong = reference_fault(span.camera.reference_image, intrinsics)
+        faults = [document.fault(("camera", "reference_image"), wrong)] if wrong else []
+    said = list(survey_warnings(span, intrinsics))
     if isinstance(loaded, LoadedNode):
         said += _size_warnings(loaded.node, intrinsics.width, intrinsics.height)
-    return [], [document.fault(key, text) for key, text in said]
+    return faults, [document.fault(key, text) for key, text in said]
 
 
 def _size_warnings(node: Node, width: int, height: int) -> Iterator[Warned]:

@@ -13,7 +13,7 @@ import numpy as np
 from sagnode.config.landmark_sights import landmark_warnings
 from sagnode.config.lines import KeyPath
 from sagnode.config.span import Conductor, Span
-from sagnode.errors import ConfigError, FrameError
+from sagnode.errors import FrameError
 from sagnode.geometry.camera import Intrinsics, Pose, inside, project, rotation_from_angles
 from sagnode.geometry.conductor import conductor_points
 from sagnode.geometry.ground import GroundProfile
@@ -25,39 +25,31 @@ SMALLEST_SHARE = 0.15
 """Of a span less than this in the picture leaves sag to the survey."""
 
 
-def picture_size(path: Path) -> tuple[int, int]:
-    """Width and height of a picture, px.
-
-    Raises:
-        ConfigError: it cannot be read.
-    """
+def reference_fault(path: Path, intrinsics: Intrinsics) -> str | None:
+    """Why a reference image cannot be used with these intrinsics, None if it can."""
     from sagnode.capture.images import read_grey
 
     try:
         height, width = read_grey(path).shape
     except FrameError as error:
-        raise ConfigError(f"reference_image: {error.what}", error.remedy) from error
-    return width, height
+        return str(error)
+    if (width, height) == (intrinsics.width, intrinsics.height):
+        return None
+    expected = f"the intrinsics belong to {intrinsics.width}x{intrinsics.height}"
+    return f"{path} has {width}x{height} px, and {expected}; take it with the camera settings of the calibration"
 
 
-def survey_warnings(span: Span, intrinsics: Intrinsics, reference_size: tuple[int, int] | None) -> Iterator[Warned]:
+def survey_warnings(span: Span, intrinsics: Intrinsics) -> Iterator[Warned]:
     """Everything in a survey that can be used and will disappoint.
 
     Args:
         span: the survey.
         intrinsics: of its camera.
-        reference_size: width and height of its reference image, None without one.
     """
     camera = span.camera
     pose = Pose(
         rotation_from_angles(camera.azimuth_deg, camera.elevation_deg, camera.roll_deg), np.asarray(camera.position)
     )
-    if reference_size is not None and reference_size != (intrinsics.width, intrinsics.height):
-        text = (
-            f"has {reference_size[0]}x{reference_size[1]} px, and the intrinsics belong to {intrinsics.width}x"
-            f"{intrinsics.height}; take it with the same camera settings"
-        )
-        yield ("camera", "reference_image"), text
     yield from landmark_warnings(span, intrinsics, pose)
     ground = _ground(span)
     for index, conductor in enumerate(span.conductors):
