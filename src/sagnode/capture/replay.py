@@ -10,7 +10,7 @@ from datetime import UTC, datetime, timedelta
 from sagnode.capture.port import Frame, FrameSource
 from sagnode.capture.tracks import Track, find_track
 from sagnode.config.node import ReplaySource
-from sagnode.errors import ConfigError, EndOfFrames, FrameError
+from sagnode.errors import EndOfFrames, FrameError
 from sagnode.quality import Cause
 
 _CHECKED_TIMES = 200
@@ -26,7 +26,7 @@ class Replay(FrameSource):
 
     def __init__(self, config: ReplaySource) -> None:
         self._config = config
-        self._start = _parse_start(config)
+        self._start = None if config.start is None else datetime.fromisoformat(config.start).astimezone(UTC)
         self._track: Track | None = None
         self._next = 0  # counts on through the rounds of a loop
 
@@ -137,18 +137,3 @@ class Replay(FrameSource):
                     f" than frame {i + 1} ({a:%Y-%m-%d %H:%M:%S})",
                     "name the files by their time (20260621T113000Z.png), or give camera.replay.cadence_s and start",
                 )
-
-
-def _parse_start(config: ReplaySource) -> datetime | None:
-    if config.start is None:
-        return None
-    if config.cadence_s is None:
-        raise ConfigError("camera.replay.start: needs cadence_s", "give cadence_s, or leave start out")
-    remedy = "write it as 2026-06-21T11:30:00Z"
-    try:
-        start = datetime.fromisoformat(config.start)
-    except ValueError:
-        raise ConfigError(f"camera.replay.start: {config.start!r} is not an RFC 3339 time", remedy) from None
-    if start.tzinfo is None:
-        raise ConfigError(f"camera.replay.start: {config.start!r} names no time zone", remedy)
-    return start.astimezone(UTC)

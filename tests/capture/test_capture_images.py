@@ -1,0 +1,155 @@
+"""Pictures are read whole or refused with one line; nothing in between."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from sagnode.capture.images import MAX_PIXELS, decode_grey, read_grey, to_grey8
+from sagnode.errors import FrameError
+from sagnode.quality import Cause
+
+
+def scene(height: int = 120, width: int = 160) -> np.ndarray:
+    """A smooth picture with detail everywhere, so that lost data shows."""
+    noise = np.random.default_rng(7).integers(0, 256, (height, width, 3), np.uint8)
+    return cv2.GaussianBlur(noise, (7, 7), 1.5)
+
+
+def encoded(kind: str, picture: np.ndarray, *options: int) -> bytes:
+    ok, data = cv2.imencode(kind, picture, list(options))
+    assert ok
+    return data.tobytes()
+
+
+COLOUR = scene()
+GREY = COLOUR[..., 1].copy()
+LUMA = cv2.cvtColor(COLOUR, cv2.COLOR_BGR2GRAY)
+JPEG = encoded(".jpg", COLOUR)
+PROGRESSIVE = encoded(".jpg", COLOUR, cv2.IMWRITE_JPEG_PROGRESSIVE, 1)
+PNG = encoded(".png", COLOUR)
+
+
+@pytest.mark.parametrize(
+    ("data", "expected", "tolerance"),
+    [
+        (PNG, LUMA, 0),
+        (encoded(".png", GREY), GREY, 0),
+        (encoded(".png", np.dstack([COLOUR, GREY])), LUMA, 0),
+        (encoded(".png", GREY.astype(np.uint16) * 257), GREY, 0),
+        (encoded(".tif", COLOUR), LUMA, 0),
+        (encoded(".tif", GREY.astype(np.uint16) * 257), GREY, 0),
+        (encoded(".pgm", GREY), GREY, 0),
+        (encoded(".ppm", COLOUR), LUMA, 0),
+        (JPEG, LUMA, 24),
+        (PROGRESSIVE, LUMA, 24),
+        (JPEG + bytes(64), LUMA, 24),
+    ],
+    ids=["png", "grey", "alpha", "png16", "tiff", "tiff16", "pgm", "ppm", "jpeg", "progressive", "padded"],
+)
+def test_every_kind_gives_the_same_luma(data: bytes, expected: np.ndarray, tolerance: int) -> None:
+    grey = decode_grey(data, "here")
+    assert grey.dtype == np.uint8 and grey.flags.c_contiguous
+    assert int(np.abs(grey.astype(int) - expected).max()) <= tolerance
+
+
+def test_a_pgm_is_scaled_by_the_maximum_it_states() -> None:
+    samples = (GREY.astype(int) * 1023 // 255).astype(">u2")
+    grey = decode_grey(b"P5\n# ten bits\n160 120\n1023\n" + samples.tobytes(), "here")
+    assert int(np.abs(grey.astype(int) - GREY).max()) <= 1
+
+
+def test_sixteen_bits_are_scaled_by_a_constant_and_not_by_the_brightest_pixel() -> None:
+    deep = GREY.astype(np.uint16) * 100
+    with_lamp = deep.copy()
+    with_lamp[0, 0] = 65535
+    assert np.array_equal(to_grey8(deep, "a")[1:], to_grey8(with_lamp, "b")[1:])
+
+
+def test_twelve_bits_without_scaling_are_refused_and_not_shown_black() -> None:
+    with pytest.raises(FrameError, match="12-bit") as caught:
+        to_grey8(GREY.astype(np.uint16) * 16, "frame.png")
+    assert caught.value.cause is Cause.DARK
+
+
+HALF = len(JPEG) // 2
+
+
+@pytest.mark.parametrize(
+    ("data", "says"),
+    [
+        (b"", "empty"),
+        (b"no picture at all", "not a JPEG"),
+        (b"\xff\xd8", "cut off"),
+        (JPEG[:HALF], "cut off"),
+        (PROGRESSIVE[: len(PROGRESSIVE) * 2 // 3], "cut off"),
+        (JPEG[:HALF] + b"\xff\xd9", "damaged"),
+        (JPEG[:HALF] + bytes(400) + JPEG[HALF + 400 :], "damaged"),
+        (PNG[: len(PNG) // 2], "cut off"),
+        (PNG[:-12], "cut off"),
+        (PNG[:5000] + bytes([PNG[5000] ^ 1]) + PNG[5001:], "checksum"),
+        (encoded(".tif", COLOUR)[:-200], "cut off"),
+        (b"P5 160 120 255\n" + bytes(100), "cut off"),
+        (encoded(".tif", COLOUR.astype(np.float32)), "float32"),
+        (encoded(".png", GREY[:8, :8]), "8x8"),
+    ],
+)
+def test_what_is_not_a_whole_picture_is_refused(data: bytes, says: str, capfd: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(FrameError, match=says) as caught:
+        decode_grey(data, "picture a.jpg")
+    assert caught.value.cause is Cause.BAD_FRAME
+    assert str(caught.value).startswith("picture a.jpg")
+    assert caught.value.remedy
+    assert "\n" not in str(caught.value)
+    assert capfd.readouterr().err == ""  # the decoders' own words stay out of a user's sight
+
+
+def test_a_bomb_is_refused_by_its_header() -> None:
+    header = struct.pack(">IIBBBBB", 60000, 60000, 8, 0, 0, 0, 0)
+    chunks = [(b"IHDR", header), (b"IDAT", zlib.compress(bytes(1000))), (b"IEND", b"")]
+    png = b"\x89PNG\r\n\x1a\n" + b"".join(
+        struct.pack(">I", len(body)) + kind + body + struct.pack(">I", zlib.crc32(kind + body)) for kind, body in chunks
+    )
+    with pytest.raises(FrameError, match=f"at most {MAX_PIXELS // 1_000_000} megapixels"):
+        decode_grey(png, "bomb")
+
+
+def test_files_that_cannot_be_read_are_named(tmp_path: Path) -> None:
+    for path, says in [(tmp_path / "none.png", "does not exist"), (tmp_path, "directory")]:
+        with pytest.raises(FrameError, match=says) as caught:
+            read_grey(path)
+        assert str(path) in str(caught.value)
+    (tmp_path / "a.png").write_bytes(PNG)
+    assert read_grey(tmp_path / "a.png").shape == (120, 160)
+
+
+SEEDS = [JPEG, PROGRESSIVE, PNG, encoded(".tif", COLOUR), encoded(".pgm", GREY)]
+
+
+@settings(max_examples=250, deadline=None)
+@given(
+    st.sampled_from(SEEDS),
+    st.lists(st.tuples(st.floats(0, 1), st.integers(0, 255)), max_size=8),
+    st.floats(0, 1),
+    st.binary(max_size=16),
+)
+def test_mutated_pictures_give_grey_or_one_line(
+    seed: bytes, changes: list[tuple[float, int]], cut: float, tail: bytes
+) -> None:
+    data = bytearray(seed)
+    for where, value in changes:
+        data[int(where * (len(data) - 1))] = value
+    mutated = bytes(data[: int(cut * len(data))] if cut < 0.5 else data) + tail
+    try:
+        grey = decode_grey(mutated, "mutated")
+    except FrameError as error:
+        assert str(error).startswith("mutated")
+    else:
+        assert grey.ndim == 2 and grey.dtype == np.uint8
