@@ -147,7 +147,7 @@ def _profiles(
     height, width = image.shape
     ends = pixels[:, None, :] + offsets[[0, -1], None] * normal[:, None, :]
     with np.errstate(invalid="ignore"):
-        inside = ((ends >= 0) & (ends <= (width - 1, height - 1))).all(axis=(1, 2))
+        inside = np.asarray(((ends >= 0) & (ends <= (width - 1, height - 1))).all(axis=(1, 2)))
     seen = np.minimum.reduceat(inside, starts)
     if not inside.any():
         return np.zeros((len(starts), len(offsets))), seen
