@@ -27,7 +27,7 @@ _SHIFT = 4
 
 def draw_overlay(image: GreyImage, measurements: Sequence[FrameMeasurement]) -> ColourImage:
     """The frame in colour with curves, lowest points, clearances with their places, landmarks and a legend."""
-    canvas = cv2.cvtColor(image, cv2.COLOR_GRAY2BGR)
+    canvas: ColourImage = np.asarray(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR), dtype=np.uint8)
     scale = max(0.45, image.shape[1] / 2400)
     for colour, measurement in zip(_colours(len(measurements)), measurements, strict=True):
         drawing = measurement.drawing
@@ -37,7 +37,7 @@ def draw_overlay(image: GreyImage, measurements: Sequence[FrameMeasurement]) -> 
     if landmarks is not None:
         _draw_landmarks(canvas, landmarks, scale)
     _legend(canvas, measurements, scale)
-    return np.asarray(canvas, dtype=np.uint8)
+    return canvas
 
 
 def _colours(count: int) -> list[tuple[int, int, int]]:

@@ -18,9 +18,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from sagnode.geometry.camera import FloatArray, Intrinsics, Pose, project, turned
+from sagnode.geometry.camera import FloatArray, Intrinsics, Pose, project, projection_derivatives, turned
 from sagnode.geometry.conductor import conductor_points
 from sagnode.geometry.quantities import Shape
 
@@ -94,12 +93,6 @@ class Survey:
         """Conductor at θ."""
         return Shape(self.near + theta[10:13], self.far + theta[13:16], float(theta[SAG]), float(theta[SWING]))
 
-    def curve(self, theta: FloatArray, t: FloatArray) -> FloatArray:
-        """Pixels (N, 2) of the conductor at θ."""
-        shape = self.shape(theta)
-        intrinsics, pose = self.camera(theta)
-        return project(intrinsics, pose, conductor_points(shape.near, shape.far, shape.sag, shape.swing, t))[0]
-
 
 @dataclass(frozen=True)
 class LandmarkObservations:
@@ -163,36 +156,41 @@ class Solution:
     budget_sources: tuple[str, ...] = field(default=())
 
 
-def _derivatives(function: object, theta: FloatArray, steps: FloatArray, active: NDArray[np.intp]) -> FloatArray:
-    """Central differences of ``function(theta) -> (N, 2)``: (N, 2, 18), zero for inactive unknowns."""
-    base_shape = function(theta).shape  # type: ignore[operator]
-    jacobian = np.zeros((*base_shape, SIZE))
-    for k in active:
-        shift = np.zeros(SIZE)
-        shift[k] = steps[k]
-        jacobian[..., k] = (function(theta + shift) - function(theta - shift)) / (2 * steps[k])  # type: ignore[operator]
-    return jacobian
-
-
-_STEPS = np.array([1e-6] * 3 + [1e-4] * 3 + [1e-6, 1e-2, 1e-2, 1e-6] + [1e-4] * 6 + [1e-4, 1e-5])
+_STEPS = np.array([1e-3] * 6 + [1e-3, 1e-4])
+"""Steps of the numerical derivatives by attachments (m), sag (m) and swing (rad)."""
 
 
 def _landmark_terms(
     survey: Survey, theta: FloatArray, seen: LandmarkObservations
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Residuals (N, 2), derivatives (N, 2, 18) and covariances (N, 2, 2) of the landmarks."""
-
-    def pixels(th: FloatArray) -> FloatArray:
-        intrinsics, pose = survey.camera(th)
-        return project(intrinsics, pose, seen.positions)[0]
-
-    residual = seen.pixels - pixels(theta)
-    jacobian = _derivatives(pixels, theta, _STEPS, np.arange(10))
-    # moving a landmark is moving the camera the other way: columns 3:6 hold -d(pixel)/d(position)
-    by_position = jacobian[..., 3:6]
-    covariance = np.einsum("nik,njk->nij", by_position, by_position) * (seen.position_u**2)[:, None, None]
+    intrinsics, pose = survey.camera(theta)
+    residual = seen.pixels - project(intrinsics, pose, seen.positions)[0]
+    by_point, by_camera = projection_derivatives(intrinsics, pose, seen.positions)
+    jacobian = np.zeros((seen.count, 2, SIZE))
+    jacobian[..., CAMERA] = by_camera
+    covariance = np.einsum("nik,njk->nij", by_point, by_point) * (seen.position_u**2)[:, None, None]
     covariance += np.eye(2) * (seen.pixel_u**2)[:, None, None]
     return residual, jacobian, covariance
+
+
+def _curve_terms(survey: Survey, theta: FloatArray, curve: CurveObservations) -> tuple[FloatArray, FloatArray]:
+    """Residuals (M,) and derivatives (M, 18) of the offsets across the curve."""
+    intrinsics, pose = survey.camera(theta)
+    # the shape at θ, and at θ ± each of its eight own unknowns, in one call
+    shifts = np.zeros((17, 8))
+    shifts[1:9] = np.diag(_STEPS)
+    shifts[9:] = -np.diag(_STEPS)
+    own = theta[10:18] + shifts
+    near, far = survey.near + own[:, 0:3], survey.far + own[:, 3:6]
+    points = conductor_points(near, far, own[:, 6], own[:, 7], curve.t)
+    residual = np.sum((curve.measured - project(intrinsics, pose, points[0])[0]) * curve.normal, axis=1)
+    by_point, by_camera = projection_derivatives(intrinsics, pose, points[0])
+    by_shape = (points[1:9] - points[9:]) / (2 * _STEPS)[:, None, None]
+    jacobian = np.empty((len(curve.t), SIZE))
+    jacobian[:, CAMERA] = np.einsum("mi,mik->mk", curve.normal, by_camera)
+    jacobian[:, 10:] = np.einsum("mi,mij,kmj->mk", curve.normal, by_point, by_shape)
+    return residual, jacobian
 
 
 def _curve_covariance(curve: CurveObservations) -> tuple[FloatArray, FloatArray]:
@@ -238,10 +236,7 @@ def solve(
         if landmarks is not None and landmarks.count:
             lr, lj, lc = _landmark_terms(survey, th, landmarks)
         if curve is not None:
-            predicted = survey.curve(th, curve.t)
-            cr = np.sum((curve.measured - predicted) * curve.normal, axis=1)
-            moved = _derivatives(lambda x: survey.curve(x, curve.t), th, _STEPS, active)
-            cj = np.einsum("mik,mi->mk", moved, curve.normal)
+            cr, cj = _curve_terms(survey, th, curve)
 
     information: dict[str, FloatArray] = {}
     normal_matrix = precision0.copy()

@@ -81,7 +81,9 @@ def _find(image: GreyImage, conductor: SiteConductor, registered: Registered) ->
     """Coarse search, then the best few candidates refined; the one that lies best on a wire wins."""
     survey = _survey(conductor, registered)
     view = _view(survey, conductor, registered.theta)
-    candidates = search(image, view, survey.sag_range, conductor.swing_max, survey.swing_u, CANDIDATES)
+    candidates = search(
+        image, view, survey.sag_range, conductor.swing_max, survey.swing_u, survey.attachment_u, CANDIDATES
+    )
     results: list[Matched] = []
     for candidate in candidates:
         if results and candidate.score < 0.5 * candidates[0].score:

@@ -29,6 +29,12 @@ class Intrinsics:
     cy: float
     distortion: tuple[float, ...] = ()
     model: Literal["pinhole", "fisheye"] = "pinhole"
+    reach: float = 0.0
+    """Largest normalised undistorted radius that is projected; 0 computes it, :func:`dataclasses.replace` keeps it."""
+
+    def __post_init__(self) -> None:
+        if self.reach == 0.0:
+            object.__setattr__(self, "reach", field_radius(self))
 
     @property
     def matrix(self) -> FloatArray:
@@ -37,7 +43,7 @@ class Intrinsics:
 
     def without_distortion(self) -> Intrinsics:
         """The same camera with a perfect lens (the paper's Table 8, "before correction")."""
-        return replace(self, distortion=(), model="pinhole")
+        return replace(self, distortion=(), model="pinhole", reach=0.0)
 
 
 @dataclass(frozen=True)
@@ -117,10 +123,12 @@ def undistort(intrinsics: Intrinsics, u: FloatArray, v: FloatArray) -> tuple[Flo
 
 
 def field_radius(intrinsics: Intrinsics) -> float:
-    """Largest normalised undistorted radius inside the frame, with 10 % to spare.
+    """Largest normalised undistorted radius inside the frame, with 10 % to spare; infinite without distortion.
 
     Beyond it a distortion polynomial may fold back into the frame, so nothing is projected there.
     """
+    if not any(intrinsics.distortion):
+        return float("inf")
     w, h = intrinsics.width - 1, intrinsics.height - 1
     edge = np.linspace(0.0, 1.0, 9)
     u = np.concatenate([edge * w, edge * w, np.zeros(9), np.full(9, w)])
@@ -132,18 +140,54 @@ def field_radius(intrinsics: Intrinsics) -> float:
 def project(intrinsics: Intrinsics, pose: Pose, points: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Pixels (..., 2) and depths (...) of points (..., 3) of the site frame.
 
-    Points behind the camera, or beyond :func:`field_radius` of a lens with distortion, become NaN pixels.
+    Points behind the camera, or beyond the lens's reach, become NaN pixels.
     """
-    camera = (points - pose.position) @ pose.rotation.T
+    return project_camera(intrinsics, (points - pose.position) @ pose.rotation.T)
+
+
+def project_camera(intrinsics: Intrinsics, camera: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Pixels (..., 2) and depths (...) of points (..., 3) of the camera frame, as :func:`project`."""
     depth = camera[..., 2]
     ahead = depth > 1e-9
     safe = np.where(ahead, depth, 1.0)
     x, y = camera[..., 0] / safe, camera[..., 1] / safe
     if any(intrinsics.distortion):
-        ahead = ahead & (x * x + y * y <= field_radius(intrinsics) ** 2)
+        ahead = ahead & (x * x + y * y <= intrinsics.reach**2)
         x, y = distort(intrinsics, np.where(ahead, x, 0.0), np.where(ahead, y, 0.0))
     pixels = np.stack([intrinsics.fx * x + intrinsics.cx, intrinsics.fy * y + intrinsics.cy], axis=-1)
     return np.where(ahead[..., None], pixels, np.nan), depth
+
+
+def projection_derivatives(intrinsics: Intrinsics, pose: Pose, points: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Derivatives of the pixels of points (N, 3), all of them in view.
+
+    Returns:
+        By the point's place in the site frame (N, 2, 3), px/m; and by the camera's ten parameters (N, 2, 10): turn
+        (rad, camera frame), shift (m, site frame), relative focal length, principal point (px), k1.
+    """
+    camera = (points - pose.position) @ pose.rotation.T
+    z = camera[:, 2]
+    x, y = camera[:, 0] / z, camera[:, 1] / z
+    step = 1e-6
+    xd, yd = distort(intrinsics, x, y)
+    by_x = [(a - b) / step for a, b in zip(distort(intrinsics, x + step, y), (xd, yd), strict=True)]
+    by_y = [(a - b) / step for a, b in zip(distort(intrinsics, x, y + step), (xd, yd), strict=True)]
+    focal = (intrinsics.fx, intrinsics.fy)
+    by_camera = np.empty((len(points), 2, 3))
+    for row in range(2):
+        dx, dy = focal[row] * by_x[row], focal[row] * by_y[row]
+        by_camera[:, row] = np.stack([dx / z, dy / z, -(dx * x + dy * y) / z], axis=1)
+    by_point = by_camera @ pose.rotation
+    parameters = np.zeros((len(points), 2, 10))
+    # a turn by v moves the point by v x camera
+    parameters[:, :, 0:3] = np.cross(camera[:, None, :], by_camera)
+    parameters[:, :, 3:6] = -by_point
+    parameters[:, 0, 6], parameters[:, 1, 6] = focal[0] * xd, focal[1] * yd
+    parameters[:, 0, 7] = parameters[:, 1, 8] = 1.0
+    if intrinsics.model == "pinhole":
+        r2 = x * x + y * y
+        parameters[:, 0, 9], parameters[:, 1, 9] = focal[0] * x * r2, focal[1] * y * r2
+    return by_point, parameters
 
 
 def inside(intrinsics: Intrinsics, pixels: FloatArray, margin: float = 0.0) -> NDArray[np.bool_]:

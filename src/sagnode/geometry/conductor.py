@@ -65,7 +65,7 @@ def gravity_direction(near: FloatArray, far: FloatArray, swing_rad: ArrayLike) -
     # right of the chord seen from A: forward x up
     side = np.cross(chord, np.array([0.0, 0.0, 1.0]))
     # Rodrigues about the chord, sense such that "down" turns towards "side"
-    along = (chord @ down)[..., None] * chord if chord.ndim == 1 else np.sum(chord * down, -1, keepdims=True) * chord
+    along = np.sum(chord * down, axis=-1, keepdims=True) * chord
     return np.asarray(along + np.cos(swing) * (down - along) + np.sin(swing) * side)
 
 
@@ -80,19 +80,19 @@ def conductor_points(
     """Points (..., N, 3) of the conductor at the curve parameters ``t`` (N,).
 
     Args:
-        near: attachment A (3,), m.
-        far: attachment B (3,), m.
+        near: attachment A (..., 3), m.
+        far: attachment B (..., 3), m.
         sag: in-plane sag D at mid-chord, m, shape (...).
         swing_rad: swing φ, rad, shape (...).
         t: curve parameter in [0, 1].
         skew: load skew u; ½ is a uniform load.
     """
     chord = far - near
-    span = float(np.hypot(chord[0], chord[1]))
-    profile = sag_profile(span, chord[2], sag, t)
+    profile = sag_profile(np.hypot(chord[..., 0], chord[..., 1]), chord[..., 2], sag, t)
     fraction = 2 * t * (1 - t) * np.asarray(skew, dtype=np.float64)[..., None] + t * t
     direction = gravity_direction(near, far, swing_rad)
-    return np.asarray(near + fraction[..., None] * chord + profile[..., None] * direction[..., None, :])
+    on_chord = near[..., None, :] + fraction[..., None] * chord[..., None, :]
+    return np.asarray(on_chord + profile[..., None] * direction[..., None, :])
 
 
 def control_points(

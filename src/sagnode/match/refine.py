@@ -97,9 +97,10 @@ def observe(image: GreyImage, track: Track, half_range: float, others: list[Floa
     rank = _rank(image, track, blocks, half_range)
     index = np.clip(np.round(blocks.index).astype(np.intp), 0, len(track.t) - 1)
     pixel, normal = track.pixels[index], track.normal[index]
-    masked = np.zeros(len(index), dtype=bool)
+    reach = half_range + 3.0 + 0.5 * float(np.median(track.width))
+    masked = _folds_back(track, index, reach)
     for other in others:
-        masked |= _near(pixel, normal, other, half_range + 3.0 + 0.5 * float(np.median(track.width)))
+        masked |= _near(pixel, normal, other, reach)
     usable = blocks.valid & (rank >= 0.8) & ~masked
     return Observed(
         track,
@@ -107,8 +108,8 @@ def observe(image: GreyImage, track: Track, half_range: float, others: list[Floa
         track.arc[index],
         pixel,
         normal,
-        blocks.offset,
-        blocks.sigma,
+        np.nan_to_num(blocks.offset),
+        np.nan_to_num(blocks.sigma, nan=1e3),
         rank,
         usable,
         masked,
@@ -121,9 +122,23 @@ def _rank(image: GreyImage, track: Track, blocks: Blocks, half_range: float) -> 
     for shift in SHIFTS_PX:
         away = np.sign(shift) * (abs(shift) + half_range)
         aside = localise(image, track.pixels + away * track.normal, track.normal, track.width, half_range, BLOCK_PX)
+        # the shifted curve is a little longer or shorter, so its blocks are met by their sample, not by their number
+        same = np.abs(aside.index[None, :] - blocks.index[:, None]).argmin(axis=1)
         # a block that leaves the frame when shifted proves nothing, for or against
-        beaten += np.where(aside.valid, blocks.snr > aside.snr, 0.5)
+        beaten += np.where(aside.valid[same], blocks.snr > aside.snr[same], 0.5)
     return beaten / len(SHIFTS_PX)
+
+
+def _folds_back(track: Track, index: NDArray[np.intp], reach: float) -> NDArray[np.bool_]:
+    """Which samples (M,) have another stretch of the same curve within reach: its two halves seen along the line."""
+    every = slice(None, None, 4)
+    pixels, arc = track.pixels[every], track.arc[every]
+    difference = pixels[None, :, :] - track.pixels[index][:, None, :]
+    across = np.abs(np.einsum("mki,mi->mk", difference, track.normal[index]))
+    distance = np.hypot(difference[..., 0], difference[..., 1])
+    elsewhere = np.abs(arc[None, :] - track.arc[index][:, None]) > 2 * np.pi * reach
+    result: NDArray[np.bool_] = (elsewhere & (across < reach) & (distance < reach + 12.0)).any(axis=1)
+    return result
 
 
 def _near(pixel: FloatArray, normal: FloatArray, other: FloatArray, reach: float) -> NDArray[np.bool_]:

@@ -7,7 +7,7 @@ departure from its parabola is added in space before projection, and distortion 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -67,10 +67,13 @@ class Candidate:
     visible: float
 
 
-def even_parameters(view: View, sag: float, swing: float, count: int, margin: float = 3.0) -> FloatArray:
-    """Curve parameters (count,) that are evenly spaced in the picture over the visible part of one curve.
+def even_parameters(
+    view: View, sag: float, swing: float, count: int, margin: float = 3.0, span_share: float = 0.0
+) -> FloatArray:
+    """Curve parameters (count,) over the visible part of one curve, evenly spaced in the picture.
 
-    Fewer than two parameters come back when nothing is visible.
+    ``span_share`` of the spacing is even along the span instead: in a view along the line the near metres take most of
+    the picture and the far half of the span a few pixels. Fewer than two parameters come back when nothing is visible.
     """
     # uneven start: in a view along the line the near metres take most of the picture
     t = np.concatenate([np.linspace(0.0, 0.2, 800, endpoint=False), np.linspace(0.2, 1.0, 800)])
@@ -78,8 +81,12 @@ def even_parameters(view: View, sag: float, swing: float, count: int, margin: fl
     seen = inside(view.intrinsics, pixels, margin)
     if np.count_nonzero(seen) < 2:
         return np.empty(0)
-    step = np.hypot(*np.diff(np.nan_to_num(pixels), axis=0).T)
-    step[~(seen[1:] & seen[:-1])] = 0.0
+    both = seen[1:] & seen[:-1]
+    step = np.where(both, np.hypot(*np.diff(np.nan_to_num(pixels), axis=0).T), 0.0)
+    if not step.any():
+        return np.empty(0)
+    along = np.where(both, np.diff(t), 0.0)
+    step = (1 - span_share) * step / step.sum() + span_share * along / along.sum()
     arc = np.concatenate([[0.0], np.cumsum(step)])
     wanted = np.linspace(0.0, arc[-1], count)
     # arc is flat where the curve is hidden; keep its strictly rising part
@@ -92,14 +99,28 @@ def _grid(low: float, high: float, step: float) -> FloatArray:
     return np.linspace(low, high, count)
 
 
-def _sensitivity(view: View, sag: float, swing: float, t: FloatArray) -> tuple[float, float]:
-    """Greatest movement of a visible point across the curve, px per metre of sag and per radian of swing."""
+def _trust(view: View, sag: float, t: FloatArray, attachment_u: float) -> FloatArray:
+    """Weight (N,) of each sample: less where the attachments' uncertainty moves the curve by more than a pixel."""
+    base, _ = view.pixels(sag, 0.0, t)
+    normal = normals(base)
+    variance = np.zeros(len(t))
+    for k in range(6):
+        shift = np.zeros(6)
+        shift[k] = 1e-3
+        moved, _ = replace(view, near=view.near + shift[:3], far=view.far + shift[3:]).pixels(sag, 0.0, t)
+        variance += (np.sum((moved - base) * normal, axis=1) * attachment_u / 1e-3) ** 2
+    return np.asarray(1.0 / (1.0 + np.nan_to_num(variance, nan=1e6)))
+
+
+def _sensitivity(view: View, sag: float, swing: float, t: FloatArray, trust: FloatArray) -> tuple[float, float]:
+    """Greatest movement of a trusted point across the curve, px per metre of sag and per radian of swing."""
     base, _ = view.pixels(sag, swing, t)
     normal = normals(base)
+    weight = np.sqrt(trust / trust.max())
 
     def movement(other: FloatArray, step: float) -> float:
-        moved = np.abs(np.sum((other - base) * normal, axis=1)) / step
-        return float(np.nanpercentile(moved, 98)) if np.isfinite(moved).any() else 0.0
+        moved = np.abs(np.sum((other - base) * normal, axis=1)) / step * weight
+        return float(np.nanpercentile(moved, 95)) if np.isfinite(moved).any() else 0.0
 
     step = 1e-3 * sag
     return (
@@ -114,6 +135,7 @@ def search(
     sag_range: tuple[float, float],
     swing_max: float,
     swing_u: float,
+    attachment_u: float,
     keep: int = 8,
 ) -> list[Candidate]:
     """Coarse search over sag × swing; the best, well separated candidates, best first.
@@ -124,13 +146,15 @@ def search(
         sag_range: smallest and largest in-plane sag, m.
         swing_max: largest swing, rad; a view that cannot tell swing is searched at zero only.
         swing_u: standard uncertainty of the swing's prior, rad.
+        attachment_u: standard uncertainty of the attachments, m; samples that it moves by pixels count less.
         keep: most candidates.
     """
     middle = 0.5 * (sag_range[0] + sag_range[1])
-    t = even_parameters(view, middle, 0.0, SAMPLES)
+    t = even_parameters(view, middle, 0.0, SAMPLES, span_share=0.5)
     if t.size < 2:
         return []
-    per_sag, per_swing = _sensitivity(view, middle, 0.0, t)
+    trust = _trust(view, middle, t, attachment_u)
+    per_sag, per_swing = _sensitivity(view, middle, 0.0, t, trust)
     if per_sag <= 0:
         return []
     step, pooled = STEP_PX, False
@@ -147,7 +171,7 @@ def search(
     n_sag, n_swing = counts(step)
     sags = np.linspace(*sag_range, max(2, n_sag))
     swings = np.linspace(-swing_max, swing_max, n_swing) if n_swing > 1 else np.zeros(1)
-    scores, visible = _scores(image, view, sags, swings, t, pooled)
+    scores, visible = _scores(image, view, sags, swings, t, trust, pooled)
     # the prior on swing breaks ties where the view hardly sees it, and no more
     prior = 0.5 * (swings / swing_u) ** 2 * 0.05
     ranked = scores - prior[None, :]
@@ -156,7 +180,7 @@ def search(
 
 
 def _scores(
-    image: GreyImage, view: View, sags: FloatArray, swings: FloatArray, t: FloatArray, pooled: bool
+    image: GreyImage, view: View, sags: FloatArray, swings: FloatArray, t: FloatArray, trust: FloatArray, pooled: bool
 ) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
     """Mean response and visible share (S, W) of all templates."""
     scores = np.empty((len(sags), len(swings)), dtype=np.float32)
@@ -176,11 +200,11 @@ def _scores(
         else:
             response = pair_response(image, pixels, side)
         seen = np.isfinite(response)
-        count = seen.sum(axis=1)
-        total = np.where(seen, response, 0.0).sum(axis=1)
+        count = seen @ trust
+        total = np.where(seen, response, 0.0) @ trust
         shape = (len(sags), len(some))
-        scores[:, start : start + chunk] = (total / np.maximum(count, 1)).reshape(shape)
-        visible[:, start : start + chunk] = (count / len(t)).reshape(shape)
+        scores[:, start : start + chunk] = (total / np.maximum(count, 1e-6)).reshape(shape)
+        visible[:, start : start + chunk] = (count / trust.sum()).reshape(shape)
     return scores, visible
 
 
