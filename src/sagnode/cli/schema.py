@@ -40,13 +40,16 @@ def run(args: argparse.Namespace) -> int:
 
 def schemas() -> dict[str, dict[str, Any]]:
     """JSON Schema by name (:data:`NAMES`)."""
+    from pydantic import BaseModel
     from pydantic.json_schema import GenerateJsonSchema
 
     from sagnode.config.node import Node
     from sagnode.config.span import Span
     from sagnode.message import HealthMessage, Reading, StatusMessage
 
-    models = dict(zip(NAMES, (Reading, StatusMessage, HealthMessage, Node, Span), strict=True))
+    models: dict[str, type[BaseModel]] = dict(
+        zip(NAMES, (Reading, StatusMessage, HealthMessage, Node, Span), strict=True)
+    )
     dialect = {"$schema": GenerateJsonSchema.schema_dialect}
     return {
         name: dialect

@@ -74,11 +74,17 @@ def _table_lines(table: dict[str, Any], path: tuple[str, ...]) -> Iterator[str]:
 
 
 def _is_tables(value: object) -> bool:
-    return isinstance(value, dict) or (isinstance(value, list) and bool(value) and isinstance(value[0], dict))
+    if isinstance(value, list):
+        return bool(value) and all(isinstance(element, dict) for element in value)
+    return isinstance(value, dict)
 
 
 def _value_text(value: object) -> str:
     if isinstance(value, list):
         return f"[{', '.join(_value_text(element) for element in value)}]"
-    # JSON's strings are TOML's but for DEL, which TOML wants escaped; numbers and booleans are the same.
+    if isinstance(value, dict):
+        return f"{{ {', '.join(f'{key} = {_value_text(inner)}' for key, inner in value.items())} }}"
+    if isinstance(value, float):
+        return repr(value)
+    # JSON's strings are TOML's but for DEL, which TOML wants escaped; whole numbers and booleans are the same.
     return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
