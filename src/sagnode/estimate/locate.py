@@ -12,7 +12,8 @@ from sagnode.estimate.joint import ATTACHMENTS, SAG, SWING, CurveObservations, S
 from sagnode.estimate.register import Registered, moved_survey
 from sagnode.geometry.camera import FloatArray
 from sagnode.match.refine import Observed, Track, observe, shifted_score, trace
-from sagnode.match.templates import Candidate, View, search
+from sagnode.match.ribbon import SIDE_OFFSET_PX, normals, pair_response
+from sagnode.match.templates import SAMPLES, STEP_PX, View, even_parameters, search
 from sagnode.site import Site, SiteConductor
 
 HALF_RANGES_PX = (8.0, 5.0, 4.0)
@@ -78,7 +79,7 @@ def _view(survey: Survey, conductor: SiteConductor, theta: FloatArray) -> View:
 
 
 def _find(image: GreyImage, conductor: SiteConductor, registered: Registered) -> Matched | None:
-    """Coarse search, then the best few candidates refined; the one that lies best on a wire wins."""
+    """Coarse search, refinement of the best candidates, and a search along what the best one leaves open."""
     survey = _survey(conductor, registered)
     view = _view(survey, conductor, registered.theta)
     candidates = search(
@@ -88,23 +89,66 @@ def _find(image: GreyImage, conductor: SiteConductor, registered: Registered) ->
     for candidate in candidates:
         if results and candidate.score < 0.5 * candidates[0].score:
             break
-        refined = _refine(image, conductor, registered, _start(registered, candidate), [], HALF_RANGES_PX)
-        if refined is not None:
-            results.append(refined)
+        start = registered.theta.copy()
+        start[ATTACHMENTS] = 0.0
+        start[SAG], start[SWING] = candidate.sag, candidate.swing
+        results += filter(None, [_refine(image, conductor, registered, start, [], HALF_RANGES_PX[:1])])
     if not results:
         return None
+    for start in _along_the_valley(image, max(results, key=_merit), conductor):
+        results += filter(None, [_refine(image, conductor, registered, start, [], HALF_RANGES_PX[:1])])
     results.sort(key=_merit, reverse=True)
-    best = results[0]
+    best = _refine(image, conductor, registered, results[0].solution.theta, [], HALF_RANGES_PX[1:]) or results[0]
     others = [r for r in results[1:] if _different(best, r)]
-    rival = _merit(others[0]) / max(_merit(best), 1e-9) if others else 0.0
+    rival = max((_merit(r) for r in others), default=0.0) / max(_merit(best), 1e-9)
     return replace(best, rival=rival)
 
 
-def _start(registered: Registered, candidate: Candidate) -> FloatArray:
-    theta = registered.theta.copy()
-    theta[ATTACHMENTS] = 0.0
-    theta[SAG], theta[SWING] = candidate.sag, candidate.swing
-    return theta
+def _along_the_valley(image: GreyImage, found: Matched, conductor: SiteConductor) -> list[FloatArray]:
+    """Better starts θ (18,) along the direction of sag and swing that the wire seen so far leaves open.
+
+    Seen along the line, the near half of a span fixes one combination of sag and swing, and a refinement that began
+    too far off may never see the far half. The posterior knows that: it is long in one direction. Curves along that
+    direction, all other unknowns following as the posterior correlates them, are compared with the picture.
+    """
+    theta, covariance = found.solution.theta, found.solution.covariance
+    own = np.array([SAG, SWING])
+    variance, axes = np.linalg.eigh(covariance[np.ix_(own, own)])
+    length = float(np.sqrt(variance[-1]))
+    direction = covariance[:, own] @ np.linalg.solve(covariance[np.ix_(own, own)], axes[:, -1])
+    low, high = found.survey.sag_range
+    per_unit = max(abs(direction[SAG]), 1e-9)
+    reach = min(4 * length, (high - low) / per_unit)
+    t = even_parameters(found.view, float(theta[SAG]), float(theta[SWING]), SAMPLES, span_share=0.5)
+    if t.size < 2:
+        return []
+
+    def pixels(amount: float) -> tuple[FloatArray, FloatArray]:
+        moved = theta + amount * direction
+        return _view(found.survey, conductor, moved).pixels(float(moved[SAG]), float(moved[SWING]), t)
+
+    base, depth = pixels(0.0)
+    small = 0.02 * reach
+    travel = np.abs(np.sum((pixels(small)[0] - base) * normals(base), axis=1)) / small
+    if not np.isfinite(travel).any() or float(np.nanmax(travel)) * reach < 2 * HALF_RANGES_PX[0] / 3:
+        return []
+    count = int(np.clip(2 * reach * float(np.nanpercentile(travel, 95)) / STEP_PX, 9, 300))
+    amounts = np.linspace(-reach, reach, count)
+    sags = theta[SAG] + amounts * direction[SAG]
+    amounts = amounts[(sags > low) & (sags < high)]
+    scores = np.empty(len(amounts))
+    side_px = np.maximum(SIDE_OFFSET_PX, 0.5 * found.view.width_px(depth) + 1.5)[:, None]
+    for i, amount in enumerate(amounts):
+        curve = pixels(float(amount))[0]
+        scores[i] = np.nanmean(np.append(pair_response(image, curve, side_px * normals(curve)), 0.0))
+    starts = []
+    for _ in range(2):
+        if not len(scores) or not np.isfinite(scores).any():
+            break
+        best = int(np.nanargmax(scores))
+        starts.append(theta + amounts[best] * direction)
+        scores[max(0, best - 3) : best + 4] = -np.inf
+    return starts
 
 
 def _merit(matched: Matched) -> float:
@@ -113,12 +157,12 @@ def _merit(matched: Matched) -> float:
 
 
 def _different(a: Matched, b: Matched) -> bool:
-    """Whether two solutions are different curves: more than 3 px apart somewhere in the frame."""
-    t = np.linspace(a.track.t[0], a.track.t[-1], 64)
-    apart = a.view.pixels(float(a.solution.theta[SAG]), float(a.solution.theta[SWING]), t)[0]
-    apart = apart - b.view.pixels(float(b.solution.theta[SAG]), float(b.solution.theta[SWING]), t)[0]
-    distance = np.hypot(*apart.T)
-    return bool(np.nanmax(distance) > 3.0) if np.isfinite(distance).any() else True
+    """Whether two solutions say different things, and are not the same curve found twice or once less exactly."""
+    (sag_a, u_a), (sag_b, u_b) = a.sag, b.sag
+    (swing_a, v_a), (swing_b, v_b) = a.swing, b.swing
+    sag_apart = abs(sag_a - sag_b) > 3 * float(np.hypot(u_a, u_b))
+    swing_apart = abs(swing_a - swing_b) > 3 * float(np.hypot(v_a, v_b))
+    return sag_apart or swing_apart
 
 
 def _refine(
@@ -162,8 +206,13 @@ def _refine(
 
 
 def support(solution: Solution, observed: Observed) -> float:
-    """Share of the blocks in view, and not masked, in which the wire was seen on the curve."""
-    return float(on_curve(solution, observed).sum() / max(int((~observed.masked).sum()), 1))
+    """Share of the curve in view, and not masked, on which the wire was seen: mean of shares in picture and span."""
+    seen = on_curve(solution, observed)
+    open_ = ~observed.masked
+    extent = np.abs(np.gradient(observed.t))
+    in_picture = seen.sum() / max(int(open_.sum()), 1)
+    in_span = extent[seen].sum() / max(float(extent[open_].sum()), 1e-9)
+    return float(0.5 * (in_picture + in_span))
 
 
 def on_curve(solution: Solution, observed: Observed) -> NDArray[np.bool_]:

@@ -17,6 +17,16 @@ BLOCK_PX = 8.0
 SHIFTS_PX = (-31.0, -23.0, -16.0, 16.0, 23.0, 31.0)
 """Where the same curve is laid beside the wire to learn what the background alone looks like."""
 MAX_SAMPLES = 6000
+RANK_MIN = 0.8
+NEIGHBOURS = 3
+"""A block counts only if at least this many of the three blocks to either side see the wire where it would run on.
+
+Background texture passes the rank test in three blocks of ten, but at unrelated offsets; lone blocks of it would pull
+an unseen stretch of the curve and, worse, make it look certain.
+"""
+NEIGHBOUR_PX = 0.8
+NEIGHBOUR_SLOPE = 0.1
+"""Two blocks agree when their offsets differ by less than NEIGHBOUR_PX plus this much for every px between them."""
 
 
 @dataclass(frozen=True)
@@ -101,7 +111,8 @@ def observe(image: GreyImage, track: Track, half_range: float, others: list[Floa
     masked = _folds_back(track, index, reach)
     for other in others:
         masked |= _near(pixel, normal, other, reach)
-    usable = blocks.valid & (rank >= 0.8) & ~masked
+    usable = blocks.valid & (rank >= RANK_MIN) & ~masked
+    usable &= _neighbours_agree(blocks, usable)
     return Observed(
         track,
         track.t[index],
@@ -114,6 +125,24 @@ def observe(image: GreyImage, track: Track, half_range: float, others: list[Floa
         usable,
         masked,
     )
+
+
+def _neighbours_agree(blocks: Blocks, usable: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Which blocks (M,) have enough usable neighbours on the same smooth line."""
+    count = np.zeros(len(usable), dtype=int)
+    offset, arc = np.nan_to_num(blocks.offset), blocks.arc
+    for k in range(1, NEIGHBOURS + 1):
+        if len(usable) <= k:
+            break
+        limit = NEIGHBOUR_PX + NEIGHBOUR_SLOPE * (arc[k:] - arc[:-k])
+        same = usable[k:] & usable[:-k] & (np.abs(offset[k:] - offset[:-k]) < limit)
+        count[k:] += same
+        count[:-k] += same
+    # at the ends of the curve half of the neighbours do not exist
+    position = np.arange(len(usable))
+    exist = np.minimum(position, NEIGHBOURS) + np.minimum(len(usable) - 1 - position, NEIGHBOURS)
+    result: NDArray[np.bool_] = count >= np.minimum(NEIGHBOURS, np.ceil(exist / 2))
+    return result
 
 
 def _rank(image: GreyImage, track: Track, blocks: Blocks, half_range: float) -> FloatArray:
@@ -132,11 +161,13 @@ def _rank(image: GreyImage, track: Track, blocks: Blocks, half_range: float) -> 
 def _folds_back(track: Track, index: NDArray[np.intp], reach: float) -> NDArray[np.bool_]:
     """Which samples (M,) have another stretch of the same curve within reach: its two halves seen along the line."""
     every = slice(None, None, 4)
-    pixels, arc = track.pixels[every], track.arc[every]
+    pixels, arc, normal = track.pixels[every], track.arc[every], track.normal[every]
     difference = pixels[None, :, :] - track.pixels[index][:, None, :]
     across = np.abs(np.einsum("mki,mi->mk", difference, track.normal[index]))
     distance = np.hypot(difference[..., 0], difference[..., 1])
-    elsewhere = np.abs(arc[None, :] - track.arc[index][:, None]) > 2 * np.pi * reach
+    away = np.abs(arc[None, :] - track.arc[index][:, None])
+    turned = track.normal[index] @ normal.T < 0.5
+    elsewhere = (away > 2 * np.pi * reach) | ((away > reach) & turned)
     result: NDArray[np.bool_] = (elsewhere & (across < reach) & (distance < reach + 12.0)).any(axis=1)
     return result
 
