@@ -1,0 +1,1 @@
+"""The demonstration: its site, its frames, its broker and its plot."""

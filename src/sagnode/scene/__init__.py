@@ -1,0 +1,1 @@
+"""Renders frames of exact catenaries with the truth beside them, for the demonstration, tests and benchmarks."""
