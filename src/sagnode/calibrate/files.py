@@ -48,8 +48,9 @@ def load_intrinsics(path: Path | str) -> Intrinsics:
     if not (-0.5 * width <= cx <= 1.5 * width and -0.5 * height <= cy <= 1.5 * height):
         found.fault("camera_matrix", f"principal point {cx:.6g}, {cy:.6g} lies far outside {width}x{height} px")
     found.raise_faults()
-    intrinsics = Intrinsics(width, height, fx, fy, cx, cy, distortion, model)
-    _check_invertible(found, intrinsics)
+    with np.errstate(all="ignore"):  # coefficients that overflow are found, and told, as any that fold
+        intrinsics = Intrinsics(width, height, fx, fy, cx, cy, distortion, model)
+        _check_invertible(found, intrinsics)
     found.raise_faults()
     return intrinsics
 
@@ -269,9 +270,8 @@ def _check_invertible(found: _Keys, intrinsics: Intrinsics) -> None:
     edge = np.linspace(0.0, 1.0, 17)
     u = np.concatenate([edge * w, edge * w, np.zeros(17), np.full(17, w)])
     v = np.concatenate([np.zeros(17), np.full(17, h), edge * h, edge * h])
-    with np.errstate(all="ignore"):
-        x, y = distort(intrinsics, *undistort(intrinsics, u, v))
-        off = np.hypot(x * intrinsics.fx + intrinsics.cx - u, y * intrinsics.fy + intrinsics.cy - v)
+    x, y = distort(intrinsics, *undistort(intrinsics, u, v))
+    off = np.hypot(x * intrinsics.fx + intrinsics.cx - u, y * intrinsics.fy + intrinsics.cy - v)
     worst = float(np.max(np.nan_to_num(off, nan=np.inf, posinf=np.inf)))
     if not worst < 0.01:
         found.fault(
