@@ -1,0 +1,114 @@
+"""How the broker is reached, and what each way of failing to reach it means to a technician."""
+
+from __future__ import annotations
+
+import os
+import socket
+import ssl
+from dataclasses import dataclass
+from pathlib import Path
+
+import paho.mqtt.client as mqtt
+from paho.mqtt.enums import CallbackAPIVersion
+from paho.mqtt.packettypes import PacketTypes
+from paho.mqtt.properties import Properties
+
+CONNECT_TIMEOUT_S = 10.0
+
+
+@dataclass(frozen=True)
+class Broker:
+    """Where the broker is and how to speak to it; certificates and password are read anew for each connection."""
+
+    host: str
+    port: int
+    client_id: str
+    mqtt5: bool = True
+    username: str | None = None
+    password_file: Path | None = None
+    tls: bool = False
+    ca_file: Path | None = None
+    cert_file: Path | None = None
+    key_file: Path | None = None
+    keepalive_s: int = 60
+
+    @property
+    def address(self) -> str:
+        """Host and port, for messages."""
+        return f"{self.host}:{self.port}"
+
+    def client(self, will_topic: str, will: bytes) -> mqtt.Client:
+        """A client that is not connected yet.
+
+        Raises:
+            OSError: password or certificate files cannot be read; ssl.SSLError, a kind of it: they are not valid.
+        """
+        client = mqtt.Client(
+            CallbackAPIVersion.VERSION2,
+            client_id=self.client_id,
+            protocol=mqtt.MQTTv5 if self.mqtt5 else mqtt.MQTTv311,
+            reconnect_on_failure=False,
+        )
+        client.connect_timeout = CONNECT_TIMEOUT_S
+        client.max_inflight_messages_set(0)  # the outbox counts
+        client.will_set(will_topic, will, qos=1, retain=True, properties=self.properties(PacketTypes.WILLMESSAGE))
+        if self.username is not None:
+            client.username_pw_set(self.username, _first_line(self.password_file))
+        if self.tls:
+            client.tls_set_context(self._context())
+        return client
+
+    def properties(self, packet: int = PacketTypes.PUBLISH, expiry_s: float | None = None) -> Properties | None:
+        """MQTT 5 properties of a JSON message; None for MQTT 3.1.1."""
+        if not self.mqtt5:
+            return None
+        properties = Properties(packet)  # type: ignore[no-untyped-call]
+        properties.ContentType = "application/json"
+        properties.PayloadFormatIndicator = 1
+        if expiry_s is not None:
+            properties.MessageExpiryInterval = max(1, min(0xFFFFFFFF, int(expiry_s)))
+        return properties
+
+    def explain(self, error: Exception) -> str:
+        """One line: what is wrong with this broker, and what to do."""
+        where = self.address
+        match error:
+            case ssl.SSLCertVerificationError():
+                remedy = "check mqtt.host, mqtt.tls.ca_file and the node's clock"
+                return f"{where}: its certificate is not accepted ({error.verify_message}); {remedy}"
+            case ssl.SSLError():
+                return f"{where}: TLS fails ({error.reason or error}); check mqtt.port and the files of [mqtt.tls]"
+            case socket.gaierror():
+                return f"{where}: name not found ({error.strerror}); check mqtt.host and the node's DNS"
+            case ConnectionRefusedError():
+                return f"{where}: connection refused; check that the broker runs and mqtt.port is its own"
+            case TimeoutError():
+                return f"{where}: no answer in {CONNECT_TIMEOUT_S:g} s; check network, firewall and mqtt.host"
+            case ConnectionError():
+                return f"{where}: {error.strerror or 'hung up'}; check mqtt.port, and whether it wants TLS"
+            case OSError() if error.filename:
+                return f"{error.filename}: {error.strerror}; the broker cannot be reached without this file"
+            case OSError():
+                return f"{where}: {error.strerror or error}; check the network"
+            case _:
+                return f"{where}: {error}; check mqtt.host"
+
+    def _context(self) -> ssl.SSLContext:
+        context = ssl.create_default_context(cafile=str(self.ca_file) if self.ca_file else None)
+        context.minimum_version = ssl.TLSVersion.TLSv1_2
+        if self.cert_file is not None:
+            for file in (self.cert_file, self.key_file):
+                if file is not None:
+                    file.open("rb").close()  # an unreadable file is named; load_cert_chain would not say which
+            context.load_cert_chain(self.cert_file, self.key_file)
+        return context
+
+
+def _first_line(file: Path | None) -> str | None:
+    if file is None:
+        return None
+    credentials = os.environ.get("CREDENTIALS_DIRECTORY")
+    if credentials and (Path(credentials) / file.name).exists():
+        file = Path(credentials) / file.name
+    lines = file.read_text(encoding="utf-8").splitlines()
+    return lines[0] if lines else ""

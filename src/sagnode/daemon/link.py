@@ -1,0 +1,103 @@
+"""The link to the broker: one thread that connects, hands over what the outbox gives, and listens for PUBACKs.
+
+Every connection gets a client of its own: paho keeps unacknowledged messages in memory and sends them all at once
+after a reconnection, without regard to its own limit. What was on the wire when a link broke is simply owed again by
+the outbox, which is the journal. A new client also reads passwords and certificates anew.
+
+The daemon's loop never waits for this thread, except at its end and then for a bounded time.
+"""
+
+from __future__ import annotations
+
+import logging
+import random
+import threading
+import time
+
+from sagnode.daemon.logs import Seldom
+from sagnode.daemon.outbox import Outbox
+from sagnode.daemon.session import FAREWELL_S, Farewell, LinkLostError, Mailbox, Session, Terms
+
+log = logging.getLogger(__name__)
+
+BACKOFF_MAX_S = 30.0
+_STABLE_S = 10.0
+
+
+class Link:
+    """Keeps the connection and empties the outbox.
+
+    Args:
+        terms: broker, topics and the words for ``status``.
+        outbox: what to send; only the link's thread touches it.
+    """
+
+    def __init__(self, terms: Terms, outbox: Outbox) -> None:
+        self._terms = terms
+        self._outbox = outbox
+        self._mailbox = Mailbox()
+        self._complaints = Seldom(log)
+        self._thread = threading.Thread(target=self._run, name="link", daemon=True)
+        self.state = "connecting"
+        """One line for health and status."""
+        self.connected = False
+        self._connected_at = float("inf")
+        self._failures = 0
+
+    def start(self) -> None:
+        """Begin to connect."""
+        self._thread.start()
+
+    def wake(self) -> None:
+        """There is something new in the journal."""
+        self._mailbox.nudge()
+
+    def show(self, topic: str, payload: bytes) -> None:
+        """Publish a retained document below the prefix; only the newest of each topic is kept."""
+        self._mailbox.put(topic, payload)
+        self._mailbox.nudge()
+
+    def stop(self, drain_s: float, status: bytes) -> None:
+        """Send what is owed for so long, say goodbye and hang up; waits until that is done, a little longer at most."""
+        self._mailbox.farewell = Farewell(time.monotonic() + drain_s, status)
+        self._mailbox.nudge()
+        self._thread.join(drain_s + 2 * FAREWELL_S)
+        if self._thread.is_alive():
+            log.warning("broker %s did not let go in time; left", self._terms.broker.address)
+
+    def _run(self) -> None:
+        while not self._mailbox.over():
+            self._connected_at = float("inf")
+            try:
+                Session(self._terms, self._outbox, self._mailbox, self._accepted).run()
+                break
+            except LinkLostError as lost:
+                self._down(str(lost), by_broker=lost.by_broker)
+            except (OSError, ValueError) as error:
+                self._down(self._terms.broker.explain(error), by_broker=False)
+            except Exception as error:  # outermost loop of the thread: the next connection is a new start
+                log.exception("link")
+                self._down(f"{self._terms.broker.address}: {type(error).__name__}: {error}", by_broker=False)
+            self._pause(min(BACKOFF_MAX_S, 2.0 ** min(self._failures, 10) / 2) * random.uniform(0.5, 1.0))  # noqa: S311
+        self.connected = False
+
+    def _accepted(self) -> None:
+        self.connected = True
+        self._connected_at = time.monotonic()
+        self.state = f"connected to {self._terms.broker.address}"
+
+    def _down(self, text: str, *, by_broker: bool) -> None:
+        if time.monotonic() - self._connected_at > _STABLE_S:
+            self._failures = 0
+            self._complaints.forget()  # things were well; this is news
+        self._failures += 1
+        self.connected = False
+        self.state = text
+        self._outbox.link_lost(by_broker=by_broker)
+        self._complaints.error(text)
+
+    def _pause(self, seconds: float) -> None:
+        until = time.monotonic() + seconds
+        while (left := until - time.monotonic()) > 0 and not self._mailbox.over():
+            time.sleep(min(left, 0.1))
+        self._mailbox.clear_nudges()
