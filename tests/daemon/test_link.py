@@ -144,9 +144,8 @@ def test_broker_killed_and_restarted_again_and_again_nothing_is_lost(tmp_path, n
         # What the broker acknowledged while the subscriber was not there yet is the broker's affair, so the journal
         # is asked what was delivered and the subscriber what arrived after the last restart.
         assert n.journal.next_sequence == 3 * 125 + 1
-        received = sequences(subscriber)
-        assert set(received) <= set(range(1, 376))
-        assert {373, 374, 375} <= set(received)
+        subscriber.wait_for(lambda s: {373, 374, 375} <= set(sequences(s)))
+        assert set(sequences(subscriber)) <= set(range(1, 376))
 
 
 def test_with_a_subscriber_that_stays_nothing_is_lost_through_a_cut_link(tmp_path, node):

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import hashlib
 import os
 import sys
 import time
@@ -28,7 +27,8 @@ from sagnode.worker.protocol import ConductorResult, Fault, Hello, MeasureReply,
 if TYPE_CHECKING:
     from sagnode.capture.port import Frame, FrameSource
     from sagnode.config.load import LoadedNode
-    from sagnode.pipeline import ConductorMeasurement, Site
+    from sagnode.measurement import ConductorMeasurement
+    from sagnode.site import Site
 
 EXIT_FATAL = 70
 """After a fatal fault (sysexits.h: internal software error)."""
@@ -80,9 +80,9 @@ class _Worker:
         try:
             loaded = load_node(self._config)
             site = load_site(loaded.span, loaded.node.measure)
+            source = open_source(loaded.node.camera)
         except SagnodeError as error:
             return self._fatal(Cause.BAD_CALIBRATION, str(error))
-        source = open_source(loaded.node.camera)
         try:
             source.open()
             if self._resume_after is not None:
@@ -96,7 +96,7 @@ class _Worker:
                 Hello(
                     pid=os.getpid(),
                     camera=source.describe(),
-                    calibration_id=_calibration_id(loaded.span.camera.intrinsics),
+                    calibration_id=site.calibration_id,
                     first_frame_at=source.first_frame_at(),
                 )
             )
@@ -153,7 +153,7 @@ def _measure(request: MeasureRequest, loaded: LoadedNode, site: Site, source: Fr
     started = time.monotonic()
     measurements = measure_burst(site, [frame.image for frame in frames])
     elapsed = time.monotonic() - started
-    overlays = _draw(Path(request.overlay_dir), site, frames, measurements) if request.overlay_dir else {}
+    overlays = _draw(Path(request.overlay_dir), frames[-1], measurements) if request.overlay_dir else {}
     return MeasureReply(
         id=request.id,
         acquired_at=frames[0].utc,
@@ -173,7 +173,7 @@ def _result(measurement: ConductorMeasurement) -> ConductorResult:
     return ConductorResult.model_validate(fields)
 
 
-def _draw(directory: Path, site: Site, frames: list[Frame], measurements: list[ConductorMeasurement]) -> dict[str, str]:
+def _draw(directory: Path, frame: Frame, measurements: list[ConductorMeasurement]) -> dict[str, str]:
     """Write ``<conductor>.jpg`` for each conductor; a disk that refuses costs the picture, not the reading."""
     import cv2
 
@@ -181,7 +181,7 @@ def _draw(directory: Path, site: Site, frames: list[Frame], measurements: list[C
 
     written = {}
     for measurement in measurements:
-        picture = draw_overlay(site, frames[-1].image, [measurement])
+        picture = draw_overlay(frame.image, [measurement])
         encoded, jpeg = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, 85])
         path = directory / f"{measurement.conductor}.jpg"
         try:
@@ -193,8 +193,3 @@ def _draw(directory: Path, site: Site, frames: list[Frame], measurements: list[C
         except OSError as error:
             print(f"picture {path}: {error}", file=sys.stderr)
     return written
-
-
-def _calibration_id(intrinsics: Path) -> str:
-    """Names the intrinsics in use: the first twelve hexadecimal digits of their file's SHA-256."""
-    return hashlib.sha256(intrinsics.read_bytes()).hexdigest()[:12]
