@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from sagnode.capture.port import GreyImage
-from sagnode.estimate.locate import Matched, attachment_z, visible_share
+from sagnode.estimate.locate import Matched, attachment_z, support, visible_share
 from sagnode.quality import Cause, Reason, Validity
 from sagnode.site import Site, SiteConductor
 
@@ -67,10 +67,10 @@ def judge(site: Site, conductor: SiteConductor, found: Matched | None) -> tuple[
 
 
 def _not_a_wire(found: Matched) -> list[Reason]:
-    if found.score < SCORE_MIN or found.support < SUPPORT_MIN:
+    if found.sighting.score < SCORE_MIN or support(found) < SUPPORT_MIN:
         text = (
-            f"no wire stands out where the conductor should be: score {found.score:.1f} (needs {SCORE_MIN:g}),"
-            f" {100 * found.support:.0f} % of the curve in view on it (needs {100 * SUPPORT_MIN:g} %)"
+            f"no wire stands out where the conductor should be: score {found.sighting.score:.1f} (needs {SCORE_MIN:g}),"
+            f" {100 * support(found):.0f} % of the curve in view on it (needs {100 * SUPPORT_MIN:g} %)"
         )
         return [Reason(Cause.NO_CONDUCTOR, text)]
     visible = visible_share(found)

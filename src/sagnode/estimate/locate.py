@@ -11,13 +11,16 @@ from sagnode.capture.port import GreyImage
 from sagnode.estimate.joint import ATTACHMENTS, SAG, SWING, CurveObservations, Solution, Survey, solve
 from sagnode.estimate.register import Registered, moved_survey
 from sagnode.geometry.camera import FloatArray
-from sagnode.match.refine import Observed, Track, observe, shifted_score, trace
+from sagnode.match.refine import Observed, Sighting, Track, observe, sight, trace
 from sagnode.match.ribbon import SIDE_OFFSET_PX, normals, pair_response
 from sagnode.match.templates import SAMPLES, STEP_PX, View, even_parameters, search
 from sagnode.site import Site, SiteConductor
 
-HALF_RANGES_PX = (8.0, 5.0, 4.0)
-"""How far across the curve is looked, from the first refinement to the last."""
+STAGES = ((8.0, 8.0), (5.0, 8.0), (3.0, 20.0))
+"""How far across the curve is looked, and how long a block is, from the first refinement to the last (px, px).
+
+The last one knows the curve to a pixel, so its long blocks follow the wire where it is faint.
+"""
 CANDIDATES = 4
 
 
@@ -31,8 +34,8 @@ class Matched:
     track: Track
     observed: Observed
     response: float
-    score: float
-    support: float
+    """Mean response along the curve, half by length in the picture and half by length of the span, grey levels."""
+    sighting: Sighting
     rival: float = 0.0
     """Merit of the best different curve over the merit of this one; 0 if there is none."""
 
@@ -61,7 +64,7 @@ def locate(site: Site, image: GreyImage, registered: Registered) -> dict[str, Ma
         if first is None:
             continue
         others = [pixels for name, pixels in curves.items() if name != conductor.id]
-        final = _refine(image, conductor, registered, first.solution.theta, others, HALF_RANGES_PX[1:])
+        final = _refine(image, conductor, registered, first.solution.theta, others, STAGES[1:])
         if final is not None:
             found[conductor.id] = replace(final, rival=first.rival)
     return found
@@ -92,13 +95,13 @@ def _find(image: GreyImage, conductor: SiteConductor, registered: Registered) ->
         start = registered.theta.copy()
         start[ATTACHMENTS] = 0.0
         start[SAG], start[SWING] = candidate.sag, candidate.swing
-        results += filter(None, [_refine(image, conductor, registered, start, [], HALF_RANGES_PX[:1])])
+        results += filter(None, [_refine(image, conductor, registered, start, [], STAGES[:1])])
     if not results:
         return None
     for start in _along_the_valley(image, max(results, key=_merit), conductor):
-        results += filter(None, [_refine(image, conductor, registered, start, [], HALF_RANGES_PX[:1])])
+        results += filter(None, [_refine(image, conductor, registered, start, [], STAGES[:1])])
     results.sort(key=_merit, reverse=True)
-    best = _refine(image, conductor, registered, results[0].solution.theta, [], HALF_RANGES_PX[1:]) or results[0]
+    best = _refine(image, conductor, registered, results[0].solution.theta, [], STAGES[1:]) or results[0]
     others = [r for r in results[1:] if _different(best, r)]
     rival = max((_merit(r) for r in others), default=0.0) / max(_merit(best), 1e-9)
     return replace(best, rival=rival)
@@ -130,7 +133,7 @@ def _along_the_valley(image: GreyImage, found: Matched, conductor: SiteConductor
     base, depth = pixels(0.0)
     small = 0.02 * reach
     travel = np.abs(np.sum((pixels(small)[0] - base) * normals(base), axis=1)) / small
-    if not np.isfinite(travel).any() or float(np.nanmax(travel)) * reach < 2 * HALF_RANGES_PX[0] / 3:
+    if not np.isfinite(travel).any() or float(np.nanmax(travel)) * reach < 2 * STAGES[0][0] / 3:
         return []
     count = int(np.clip(2 * reach * float(np.nanpercentile(travel, 95)) / STEP_PX, 9, 300))
     amounts = np.linspace(-reach, reach, count)
@@ -153,7 +156,7 @@ def _along_the_valley(image: GreyImage, found: Matched, conductor: SiteConductor
 
 def _merit(matched: Matched) -> float:
     """How well a candidate explains the picture without contradicting the survey."""
-    return matched.support * max(matched.response, 0.0) / (1 + max(0.0, attachment_z(matched) - 3.0))
+    return max(matched.response, 0.0) / (1 + max(0.0, attachment_z(matched) - 3.0))
 
 
 def _different(a: Matched, b: Matched) -> bool:
@@ -171,18 +174,18 @@ def _refine(
     registered: Registered,
     theta: FloatArray,
     others: list[FloatArray],
-    half_ranges: tuple[float, ...],
+    stages: tuple[tuple[float, float], ...],
 ) -> Matched | None:
     """Measure across the curve, solve jointly, and again about the new curve, looking ever closer."""
     survey = _survey(conductor, registered)
     solution: Solution | None = None
     observed: Observed | None = None
-    for half_range in half_ranges:
+    for half_range, block_px in stages:
         view = _view(survey, conductor, theta)
         curve = trace(view, float(theta[SAG]), float(theta[SWING]))
         if curve is None:
             return None
-        observed = observe(image, curve, half_range, others)
+        observed = observe(image, curve, half_range, others, block_px)
         use = observed.usable
         if int(use.sum()) < 4:
             return None
@@ -201,18 +204,19 @@ def _refine(
     curve = trace(view, float(theta[SAG]), float(theta[SWING]))
     if curve is None:
         return None
-    response, score = shifted_score(image, curve)
-    return Matched(survey, solution, view, curve, observed, response, score, support(solution, observed))
+    return Matched(survey, solution, view, curve, observed, _mixed_response(image, view, solution), sight(image, curve))
 
 
-def support(solution: Solution, observed: Observed) -> float:
-    """Share of the curve in view, and not masked, on which the wire was seen: mean of shares in picture and span."""
-    seen = on_curve(solution, observed)
-    open_ = ~observed.masked
-    extent = np.abs(np.gradient(observed.t))
-    in_picture = seen.sum() / max(int(open_.sum()), 1)
-    in_span = extent[seen].sum() / max(float(extent[open_].sum()), 1e-9)
-    return float(0.5 * (in_picture + in_span))
+def _mixed_response(image: GreyImage, view: View, solution: Solution) -> float:
+    """Mean response of a curve, half by length in the picture and half by length of the span, grey levels."""
+    sag, swing = float(solution.theta[SAG]), float(solution.theta[SWING])
+    t = even_parameters(view, sag, swing, SAMPLES, span_share=0.5)
+    if t.size < 2:
+        return 0.0
+    pixels, depth = view.pixels(sag, swing, t)
+    side = np.maximum(SIDE_OFFSET_PX, 0.5 * view.width_px(depth) + 1.5)[:, None] * normals(pixels)
+    response = pair_response(image, pixels, side)
+    return float(np.nanmean(response)) if np.isfinite(response).any() else 0.0
 
 
 def on_curve(solution: Solution, observed: Observed) -> NDArray[np.bool_]:
@@ -223,13 +227,15 @@ def on_curve(solution: Solution, observed: Observed) -> NDArray[np.bool_]:
     return result
 
 
+def support(matched: Matched) -> float:
+    """Share of the curve in the frame, by its length in the picture, on which a wire stands out."""
+    return float(np.mean(matched.sighting.seen))
+
+
 def visible_share(matched: Matched) -> float:
-    """Share of the span's horizontal length over which the wire was seen on the curve."""
-    seen = on_curve(matched.solution, matched.observed)
-    t = matched.observed.t
-    # each block stands for half the way to its neighbours, at most for three times its own length
-    extent = np.abs(np.gradient(t)) if len(t) > 1 else np.zeros(len(t))
-    return float(np.clip(extent[seen].sum(), 0.0, 1.0))
+    """Share of the span's horizontal length over which a wire stands out on the curve."""
+    extent = np.abs(np.gradient(matched.track.t))
+    return float(np.clip(extent[matched.sighting.seen].sum(), 0.0, 1.0))
 
 
 def attachment_z(matched: Matched) -> float:

@@ -45,7 +45,7 @@ def tell(
         estimates=estimates,
         budget=budget,
         visible_share=None if found is None else visible_share(found),
-        match_score=None if found is None else found.score,
+        match_score=None if found is None else found.sighting.score,
         pose_residual_px=registered.residual_px,
         landmarks_used=0 if registered.landmarks is None else registered.landmarks.count,
         drawing=None if found is None else draw(site, registered, found),

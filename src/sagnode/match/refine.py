@@ -14,6 +14,10 @@ from sagnode.match.ribbon import SIDE_OFFSET_PX, arc_length, normals, pair_respo
 from sagnode.match.templates import View, even_parameters
 
 BLOCK_PX = 8.0
+WINDOW_PX = 24.0
+WINDOW_SHARE = 0.04
+WINDOW_RANK = 0.95
+"""A window is seen when it responds more strongly than 95 % of the shifted curves there: by chance one in twenty."""
 SHIFTS_PX = (-31.0, -23.0, -16.0, 16.0, 23.0, 31.0)
 """Where the same curve is laid beside the wire to learn what the background alone looks like."""
 MAX_SAMPLES = 6000
@@ -25,7 +29,7 @@ Background texture passes the rank test in three blocks of ten, but at unrelated
 an unseen stretch of the curve and, worse, make it look certain.
 """
 NEIGHBOUR_PX = 0.8
-NEIGHBOUR_SLOPE = 0.1
+NEIGHBOUR_SLOPE = 0.06
 """Two blocks agree when their offsets differ by less than NEIGHBOUR_PX plus this much for every px between them."""
 
 
@@ -94,7 +98,9 @@ def trace(view: View, sag: float, swing: float, margin: float = 3.0) -> Track | 
     return Track(t, pixels, normals(pixels), view.width_px(depth), arc_length(pixels))
 
 
-def observe(image: GreyImage, track: Track, half_range: float, others: list[FloatArray]) -> Observed:
+def observe(
+    image: GreyImage, track: Track, half_range: float, others: list[FloatArray], block_px: float = BLOCK_PX
+) -> Observed:
     """Measure the wire's offset in every block of a track.
 
     Args:
@@ -102,9 +108,10 @@ def observe(image: GreyImage, track: Track, half_range: float, others: list[Floa
         track: the predicted curve.
         half_range: how far across the curve to look, px.
         others: polylines (K, 2) of other known wires; blocks that could see them are masked.
+        block_px: length of a block; long blocks see fainter wires once the curve is nearly right.
     """
-    blocks = localise(image, track.pixels, track.normal, track.width, half_range, BLOCK_PX)
-    rank = _rank(image, track, blocks, half_range)
+    blocks = localise(image, track.pixels, track.normal, track.width, half_range, block_px)
+    rank = _rank(image, track, blocks, half_range, block_px)
     index = np.clip(np.round(blocks.index).astype(np.intp), 0, len(track.t) - 1)
     pixel, normal = track.pixels[index], track.normal[index]
     reach = half_range + 3.0 + 0.5 * float(np.median(track.width))
@@ -145,17 +152,27 @@ def _neighbours_agree(blocks: Blocks, usable: NDArray[np.bool_]) -> NDArray[np.b
     return result
 
 
-def _rank(image: GreyImage, track: Track, blocks: Blocks, half_range: float) -> FloatArray:
-    """Share of the shifted curves on which the same block looks less like a wire (M,)."""
-    beaten = np.zeros(len(blocks.snr))
+def _rank(image: GreyImage, track: Track, blocks: Blocks, half_range: float, block_px: float) -> FloatArray:
+    """Share of the shifted curves on which the same place looks less like a wire (M,).
+
+    A place is a block and its two neighbours: a faint wire goes on through all three, a speck of texture does not.
+    """
+    here = _with_neighbours(blocks)
+    beaten = np.zeros(len(here))
     for shift in SHIFTS_PX:
         away = np.sign(shift) * (abs(shift) + half_range)
-        aside = localise(image, track.pixels + away * track.normal, track.normal, track.width, half_range, BLOCK_PX)
+        aside = localise(image, track.pixels + away * track.normal, track.normal, track.width, half_range, block_px)
         # the shifted curve is a little longer or shorter, so its blocks are met by their sample, not by their number
         same = np.abs(aside.index[None, :] - blocks.index[:, None]).argmin(axis=1)
         # a block that leaves the frame when shifted proves nothing, for or against
-        beaten += np.where(aside.valid[same], blocks.snr > aside.snr[same], 0.5)
+        beaten += np.where(aside.valid[same], here > _with_neighbours(aside)[same], 0.5)
     return beaten / len(SHIFTS_PX)
+
+
+def _with_neighbours(blocks: Blocks) -> FloatArray:
+    """Root mean square signal-to-noise ratio of each block and its two neighbours (M,)."""
+    padded = np.pad(blocks.snr**2, 1, mode="edge")
+    return np.asarray(np.sqrt((padded[:-2] + padded[1:-1] + padded[2:]) / 3))
 
 
 def _folds_back(track: Track, index: NDArray[np.intp], reach: float) -> NDArray[np.bool_]:
@@ -184,20 +201,58 @@ def _near(pixel: FloatArray, normal: FloatArray, other: FloatArray, reach: float
     return result
 
 
-def shifted_score(image: GreyImage, track: Track) -> tuple[float, float]:
-    """Mean response on a track, and its robust z-score among the same curve shifted 8 to 40 px to both sides."""
+@dataclass(frozen=True)
+class Sighting:
+    """Whether there is a wire on a track, by comparison with the same curve shifted 8 to 40 px to both sides.
+
+    Attributes:
+        score: robust z-score of the mean response on the track among the shifted ones.
+        seen: samples (N,) that belong to a window in which the track stands out.
+    """
+
+    score: float
+    seen: NDArray[np.bool_]
+
+
+def sight(image: GreyImage, track: Track) -> Sighting:
+    """Shifted-curve test of a whole track, and of windows along it."""
     shifts = np.concatenate([[0.0], np.arange(8.0, 41.0, 2.0), -np.arange(8.0, 41.0, 2.0)])
-    every = max(1, len(track.t) // 400)
-    pixels, normal, width = track.pixels[::every], track.normal[::every], track.width[::every]
-    centre = pixels[None] + shifts[:, None, None] * normal[None]
-    side = np.maximum(SIDE_OFFSET_PX, 0.5 * width + 1.5)[:, None] * normal
+    centre = track.pixels[None] + shifts[:, None, None] * track.normal[None]
+    side = np.maximum(SIDE_OFFSET_PX, 0.5 * track.width + 1.5)[:, None] * track.normal
     response = pair_response(image, centre, np.broadcast_to(side, centre.shape))
-    with np.errstate(invalid="ignore"):
-        seen = np.isfinite(response)
-        means = np.where(seen, response, 0.0).sum(axis=1) / np.maximum(seen.sum(axis=1), 1)
-    usable = seen.sum(axis=1) > 0.5 * seen[0].sum()
-    background = means[1:][usable[1:]]
-    if len(background) < 6:
-        return float(means[0]), 0.0
-    centre_of, spread = np.median(background), 1.4826 * np.median(np.abs(background - np.median(background)))
-    return float(means[0]), float((means[0] - centre_of) / max(spread, 0.05))
+    whole = _means(response)
+    background = whole[1:][np.isfinite(whole[1:])]
+    score = 0.0
+    if len(background) >= 6 and np.isfinite(whole[0]):
+        middle = np.median(background)
+        spread = 1.4826 * np.median(np.abs(background - middle))
+        score = float((whole[0] - middle) / max(float(spread), 0.05))
+    seen = np.zeros(len(track.t), dtype=bool)
+    for window in _windows(track):
+        means = _means(response[:, window])
+        beside = means[1:][np.isfinite(means[1:])]
+        if len(beside) >= 6 and np.isfinite(means[0]):
+            seen[window] = np.mean(means[0] > beside) >= WINDOW_RANK
+    return Sighting(score, seen)
+
+
+def _means(response: NDArray[np.float32]) -> FloatArray:
+    """Mean over the samples (K, N) in the frame of each shift (K,); NaN where less than half of them are."""
+    inside = np.isfinite(response)
+    total = np.where(inside, response, 0.0).sum(axis=1)
+    count = inside.sum(axis=1)
+    return np.where(count > 0.5 * response.shape[1], total / np.maximum(count, 1), np.nan)
+
+
+def _windows(track: Track) -> list[slice]:
+    """Stretches of at least WINDOW_PX in the picture and WINDOW_SHARE of the span, covering the track."""
+    windows, start = [], 0
+    for end in range(1, len(track.t) + 1):
+        long_enough = track.arc[end - 1] - track.arc[start] >= WINDOW_PX
+        if long_enough and abs(track.t[end - 1] - track.t[start]) >= WINDOW_SHARE:
+            windows.append(slice(start, end))
+            start = end
+    if windows and start < len(track.t):
+        # a remainder too short to be judged by itself is judged with the stretch before it
+        windows[-1] = slice(windows[-1].start, len(track.t))
+    return windows or [slice(0, len(track.t))]
