@@ -7,7 +7,7 @@ import json
 import sys
 import typing
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -129,7 +129,8 @@ def _shot(site: Site, paths: tuple[Path, ...]) -> Shot:
             errors.append(error)
     if images:
         measured = measure_burst(site, images)
-        return Shot(paths, tuple(measured), images[-1], tuple(errors))
+        counted = tuple(replace(m, frames_rejected=m.frames_rejected + len(errors)) for m in measured)
+        return Shot(paths, counted, images[-1], tuple(errors))
     refused = [
         ConductorMeasurement(
             conductor=conductor.id,
