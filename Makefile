@@ -1,0 +1,39 @@
+# Two commands matter: make demo, make test. Both set themselves up (scripts/setup says how) and are quick the second time.
+PYTHON ?= python3
+export PYTHON
+BIN = .venv/bin
+
+.PHONY: help demo test lint format bench clean
+
+help:
+	@echo "make demo    a simulated day of one span: the real daemon, a broker, a plot (under out/)"
+	@echo "make test    linters, types and tests, as continuous integration runs them"
+	@echo "make lint    linters and types alone"
+	@echo "make format  put the source into its standard form"
+	@echo "make bench   benchmarks: errors, coverage, times"
+	@echo "make clean   remove the environment and everything that was generated"
+
+demo:
+	@scripts/setup demo
+	@$(BIN)/sagnode demo
+
+test:
+	@scripts/setup dev
+	@scripts/check
+
+lint:
+	@scripts/setup dev
+	@scripts/check lint
+
+format:
+	@scripts/setup dev
+	@$(BIN)/ruff check --fix --quiet .
+	@$(BIN)/ruff format .
+
+bench:
+	@scripts/setup dev
+	@scripts/bench
+
+clean:
+	rm -rf .venv .mypy_cache .ruff_cache .pytest_cache .hypothesis out build dist src/*.egg-info
+	find src tests benchmarks -name __pycache__ -prune -exec rm -rf {} +

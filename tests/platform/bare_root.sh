@@ -1,0 +1,114 @@
+#!/bin/bash
+# Runs what a person would run on a fresh machine, in a bare Debian root: only python3, git and make are in it.
+# Not part of make test (it takes minutes, root and the network); on Debian: apt install mmdebstrap systemd-container
+#
+#   tests/platform/bare_root.sh bookworm|trixie STEP...      WORK=/var/tmp/sagnode-roots  holds the roots
+#
+#   root       make the root anew
+#   test       make test, twice (the second must find everything made)
+#   demo       make demo, twice
+#   rootless   make demo as a user without sudo and without python3-venv
+#   install    deploy/install.sh, again (an upgrade), --uninstall, --uninstall --purge
+#   boot       the same root booted with systemd: the service is started, looked at, killed, stopped
+set -euo pipefail
+HERE=$(cd "$(dirname "$0")/../.." && pwd)
+WORK=${WORK:-/var/tmp/sagnode-roots}
+suite=${1:-}
+case $suite in bookworm | trixie) ;; *)
+	sed -n '2,12s/^# \{0,1\}//p' "$0"
+	exit 2
+	;;
+esac
+shift
+ROOT=$WORK/$suite
+MIRROR=$(awk '/^URIs:/ {print $2; exit}' /etc/apt/sources.list.d/debian.sources 2>/dev/null || true)
+MIRROR=${MIRROR:-http://deb.debian.org/debian}
+
+make_root() {
+	rm -rf --one-file-system "$ROOT" "$ROOT-systemd"
+	mkdir -p "$WORK"
+	mmdebstrap --quiet --variant=minbase --aptopt='Acquire::Languages "none"' --include=python3,git,make,ca-certificates \
+		--dpkgopt='path-exclude=/usr/share/doc/*' --dpkgopt='path-exclude=/usr/share/man/*' \
+		"$suite" "$ROOT" "deb $MIRROR $suite main" "deb $MIRROR-security $suite-security main"
+	# pip brings its own certificates; a site with its own authority has them in the system's bundle.
+	cp /etc/ssl/certs/ca-certificates.crt "$ROOT/etc/ssl/certs/"
+	du -sm "$ROOT"
+}
+
+# in_root COMMAND: as root, or with AS=user as a user; the network is the machine's.
+in_root() {
+	systemd-nspawn --quiet --directory="${IN:-$ROOT}" --register=no --keep-unit --console=pipe --resolv-conf=copy-host \
+		--user="${AS:-root}" --setenv=PIP_CERT=/etc/ssl/certs/ca-certificates.crt \
+		--setenv=SSL_CERT_FILE=/etc/ssl/certs/ca-certificates.crt ${PIP_INDEX_URL:+--setenv=PIP_INDEX_URL} \
+		bash -c "$1" </dev/null
+}
+
+# A clone as a person has it: what is committed, and nothing else.
+clone() {
+	rm -rf --one-file-system "$ROOT/home/sagnode-clone"
+	git clone --quiet "$HERE" "$ROOT/home/sagnode-clone"
+	[ "${AS:-root}" = root ] || in_root_as_root "chown -R $AS: /home/sagnode-clone"
+}
+in_root_as_root() { AS=root in_root "$1"; }
+
+timed() {
+	local began
+	began=$(date +%s)
+	printf '=== %s: %s\n' "$suite" "$1"
+	shift
+	"$@"
+	printf '=== took %s s\n\n' "$(($(date +%s) - began))"
+}
+
+boot() {
+	[ -d "$ROOT-systemd" ] || {
+		cp -a --reflink=auto "$ROOT" "$ROOT-systemd"
+		IN=$ROOT-systemd in_root 'apt-get update -qq && DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends systemd systemd-sysv dbus >/dev/null'
+	}
+	rm -rf --one-file-system "$ROOT-systemd/home/sagnode-clone"
+	git clone --quiet "$HERE" "$ROOT-systemd/home/sagnode-clone"
+	IN=$ROOT-systemd in_root 'bash /home/sagnode-clone/deploy/install.sh'
+	cp "$HERE/tests/platform/booted.sh" "$ROOT-systemd/root/booted.sh"
+	cat >"$ROOT-systemd/etc/systemd/system/look.service" <<-'U'
+		[Service]
+		Type=oneshot
+		ExecStart=/bin/sh -c 'bash /root/booted.sh >/root/booted.log 2>&1; systemctl exit $?'
+	U
+	SYSTEMD_NSPAWN_UNIFIED_HIERARCHY=1 timeout 300 systemd-nspawn --quiet --directory="$ROOT-systemd" --boot --register=no \
+		--keep-unit --private-network --console=pipe systemd.wants=look.service </dev/null >"$WORK/boot.log" 2>&1 || true
+	cat "$ROOT-systemd/root/booted.log"
+	grep -q '^BOOTED FINE' "$ROOT-systemd/root/booted.log"
+}
+
+for step in "$@"; do
+	case $step in
+	root) timed 'bare root' make_root ;;
+	test)
+		clone
+		timed 'make test' in_root 'cd /home/sagnode-clone && make test'
+		timed 'make test again' in_root 'cd /home/sagnode-clone && scripts/setup dev'
+		;;
+	demo)
+		clone
+		timed 'make demo' in_root 'cd /home/sagnode-clone && make demo'
+		timed 'make demo again' in_root 'cd /home/sagnode-clone && make demo'
+		;;
+	rootless)
+		in_root 'id builder >/dev/null 2>&1 || useradd --create-home builder; ! dpkg-query -W python3-venv 2>/dev/null | grep -q . || apt-get remove -y -qq "python3*-venv" >/dev/null'
+		AS=builder clone
+		AS=builder timed 'make demo without root' in_root 'cd /home/sagnode-clone && make demo'
+		;;
+	install)
+		clone
+		timed 'install' in_root 'bash /home/sagnode-clone/deploy/install.sh && sagnode --version && ls -l /etc/sagnode /opt/sagnode/releases && id sagnode'
+		timed 'upgrade' in_root 'echo "# mine" >>/etc/sagnode/node.toml && bash /home/sagnode-clone/deploy/install.sh && tail -n 1 /etc/sagnode/node.toml && ls -l /opt/sagnode /opt/sagnode/releases'
+		timed 'uninstall' in_root 'bash /home/sagnode-clone/deploy/install.sh --uninstall && ls /etc/sagnode && ! ls /opt/sagnode 2>/dev/null && ! command -v sagnode'
+		timed 'purge' in_root 'bash /home/sagnode-clone/deploy/install.sh --uninstall --purge && ! ls -d /etc/sagnode /var/lib/sagnode 2>/dev/null && ! id sagnode 2>/dev/null'
+		;;
+	boot) timed 'booted with systemd' boot ;;
+	*)
+		echo "unknown step $step" >&2
+		exit 2
+		;;
+	esac
+done
