@@ -209,7 +209,7 @@ def solve(
     start: FloatArray,
     landmarks: LandmarkObservations | None,
     curve: CurveObservations | None,
-    iterations: int = 12,
+    iterations: int = 10,
 ) -> Solution:
     """Maximum a posteriori θ from landmarks and curve offsets, either of which may be missing.
 

@@ -26,8 +26,8 @@ SAG_U_MAX = 0.10
 """Relative standard uncertainty of sag above which a number is no measurement."""
 PRIOR_Z_MAX = 5.0
 """Corrections to the survey beyond this many of its own standard uncertainties mean another wire or a wrong survey."""
-RIVAL_MAX = 0.92
-"""A different curve that explains the picture this well, relative to the best, leaves open which one is meant."""
+RIVAL_MAX = 0.8
+"""A different curve that responds this strongly where it parts from the best leaves open which one is meant."""
 
 
 def look(site: Site, image: GreyImage) -> list[Reason]:
@@ -83,7 +83,7 @@ def _not_a_wire(found: Matched) -> list[Reason]:
 def _not_this_conductor(conductor: SiteConductor, found: Matched) -> list[Reason]:
     reasons = []
     if found.rival > RIVAL_MAX:
-        text = f"another curve fits {100 * found.rival:.0f} % as well; which wire is meant?"
+        text = f"another curve lies on a wire {100 * found.rival:.0f} % as clear; which one is meant?"
         reasons.append(Reason(Cause.AMBIGUOUS, text))
     contradiction = attachment_z(found)
     if contradiction > PRIOR_Z_MAX:

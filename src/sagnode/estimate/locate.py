@@ -16,12 +16,23 @@ from sagnode.match.ribbon import SIDE_OFFSET_PX, normals, pair_response
 from sagnode.match.templates import SAMPLES, STEP_PX, View, even_parameters, search
 from sagnode.site import Site, SiteConductor
 
-STAGES = ((8.0, 8.0), (5.0, 8.0), (3.0, 20.0))
-"""How far across the curve is looked, and how long a block is, from the first refinement to the last (px, px).
 
-The last one knows the curve to a pixel, so its long blocks follow the wire where it is faint.
-"""
+@dataclass(frozen=True)
+class Stage:
+    """One refinement: how far across the curve to look, length of a block, shifted curves that a block must beat."""
+
+    half_range_px: float
+    block_px: float
+    shifts: int
+
+
+STAGES = (Stage(8.0, 8.0, 2), Stage(5.0, 8.0, 4), Stage(3.0, 20.0, 6))
+"""From the first refinement to the last, which knows the curve to a pixel and follows the wire where it is faint."""
 CANDIDATES = 4
+RIVAL_APART_PX = 3.0
+RIVAL_MIN_PX = 16
+RIVAL_RESPONSE = 2.0
+"""Mean response, in grey levels, below which a stretch of curve lies on nothing: texture gives less than half of it."""
 
 
 @dataclass(frozen=True)
@@ -37,7 +48,7 @@ class Matched:
     """Mean response along the curve, half by length in the picture and half by length of the span, grey levels."""
     sighting: Sighting
     rival: float = 0.0
-    """Merit of the best different curve over the merit of this one; 0 if there is none."""
+    """Response of the best different curve over this one's where the two part; 0 if there is none."""
 
     @property
     def sag(self) -> tuple[float, float]:
@@ -90,7 +101,7 @@ def _find(image: GreyImage, conductor: SiteConductor, registered: Registered) ->
     )
     results: list[Matched] = []
     for candidate in candidates:
-        if results and candidate.score < 0.5 * candidates[0].score:
+        if results and candidate.score < 0.6 * candidates[0].score:
             break
         start = registered.theta.copy()
         start[ATTACHMENTS] = 0.0
@@ -102,9 +113,7 @@ def _find(image: GreyImage, conductor: SiteConductor, registered: Registered) ->
         results += filter(None, [_refine(image, conductor, registered, start, [], STAGES[:1])])
     results.sort(key=_merit, reverse=True)
     best = _refine(image, conductor, registered, results[0].solution.theta, [], STAGES[1:]) or results[0]
-    others = [r for r in results[1:] if _different(best, r)]
-    rival = max((_merit(r) for r in others), default=0.0) / max(_merit(best), 1e-9)
-    return replace(best, rival=rival)
+    return replace(best, rival=max((_rivalry(image, best, r) for r in results[1:]), default=0.0))
 
 
 def _along_the_valley(image: GreyImage, found: Matched, conductor: SiteConductor) -> list[FloatArray]:
@@ -133,17 +142,17 @@ def _along_the_valley(image: GreyImage, found: Matched, conductor: SiteConductor
     base, depth = pixels(0.0)
     small = 0.02 * reach
     travel = np.abs(np.sum((pixels(small)[0] - base) * normals(base), axis=1)) / small
-    if not np.isfinite(travel).any() or float(np.nanmax(travel)) * reach < 2 * STAGES[0][0] / 3:
+    if not np.isfinite(travel).any() or float(np.nanmax(travel)) * reach < 2 * STAGES[0].half_range_px / 3:
         return []
     count = int(np.clip(2 * reach * float(np.nanpercentile(travel, 95)) / STEP_PX, 9, 300))
     amounts = np.linspace(-reach, reach, count)
     sags = theta[SAG] + amounts * direction[SAG]
     amounts = amounts[(sags > low) & (sags < high)]
     scores = np.empty(len(amounts))
-    side_px = np.maximum(SIDE_OFFSET_PX, 0.5 * found.view.width_px(depth) + 1.5)[:, None]
+    width = found.view.width_px(depth)
     for i, amount in enumerate(amounts):
         curve = pixels(float(amount))[0]
-        scores[i] = np.nanmean(np.append(pair_response(image, curve, side_px * normals(curve)), 0.0))
+        scores[i] = np.nanmean(np.append(_response(image, curve, width), 0.0))
     starts = []
     for _ in range(2):
         if not len(scores) or not np.isfinite(scores).any():
@@ -159,13 +168,38 @@ def _merit(matched: Matched) -> float:
     return max(matched.response, 0.0) / (1 + max(0.0, attachment_z(matched) - 3.0))
 
 
-def _different(a: Matched, b: Matched) -> bool:
-    """Whether two solutions say different things, and are not the same curve found twice or once less exactly."""
-    (sag_a, u_a), (sag_b, u_b) = a.sag, b.sag
-    (swing_a, v_a), (swing_b, v_b) = a.swing, b.swing
-    sag_apart = abs(sag_a - sag_b) > 3 * float(np.hypot(u_a, u_b))
-    swing_apart = abs(swing_a - swing_b) > 3 * float(np.hypot(v_a, v_b))
-    return sag_apart or swing_apart
+def _rivalry(image: GreyImage, best: Matched, other: Matched) -> float:
+    """Response of another solution over that of the best where their curves part; 0 where it shows nothing itself.
+
+    What they share says nothing about which is right, and solutions that agree within their uncertainty are one.
+    """
+    (sag_a, u_a), (sag_b, u_b) = best.sag, other.sag
+    (swing_a, v_a), (swing_b, v_b) = best.swing, other.swing
+    if abs(sag_a - sag_b) < 3 * np.hypot(u_a, u_b) and abs(swing_a - swing_b) < 3 * np.hypot(v_a, v_b):
+        return 0.0
+    mine = _response(image, best.track.pixels, best.track.width)[_away_from(best.track, other.track)]
+    theirs = _response(image, other.track.pixels, other.track.width)[_away_from(other.track, best.track)]
+    if len(theirs) < RIVAL_MIN_PX or not np.isfinite(theirs).any() or np.nanmean(theirs) < RIVAL_RESPONSE:
+        return 0.0
+    own = float(np.nanmean(mine)) if np.isfinite(mine).any() else 0.0
+    return float(np.nanmean(theirs)) / max(own, 1e-3)
+
+
+def _away_from(track: Track, other: Track) -> NDArray[np.bool_]:
+    """Which samples (N,) of a track are more than RIVAL_APART_PX from the other curve, wherever along it."""
+    coarse = other.pixels[::2]
+    nearest = np.full(len(track.pixels), np.inf)
+    for part in np.array_split(coarse, max(1, len(coarse) // 64)):
+        difference = track.pixels[:, None, :] - part[None, :, :]
+        nearest = np.minimum(nearest, np.hypot(difference[..., 0], difference[..., 1]).min(axis=1))
+    result: NDArray[np.bool_] = nearest > RIVAL_APART_PX
+    return result
+
+
+def _response(image: GreyImage, pixels: FloatArray, width: FloatArray) -> FloatArray:
+    """Pair response (N,) along a curve (N, 2) of a wire of that width (N,)."""
+    side = np.maximum(SIDE_OFFSET_PX, 0.5 * width + 1.5)[:, None] * normals(pixels)
+    return pair_response(image, pixels, side).astype(np.float64)
 
 
 def _refine(
@@ -174,18 +208,18 @@ def _refine(
     registered: Registered,
     theta: FloatArray,
     others: list[FloatArray],
-    stages: tuple[tuple[float, float], ...],
+    stages: tuple[Stage, ...],
 ) -> Matched | None:
     """Measure across the curve, solve jointly, and again about the new curve, looking ever closer."""
     survey = _survey(conductor, registered)
     solution: Solution | None = None
     observed: Observed | None = None
-    for half_range, block_px in stages:
+    for stage in stages:
         view = _view(survey, conductor, theta)
         curve = trace(view, float(theta[SAG]), float(theta[SWING]))
         if curve is None:
             return None
-        observed = observe(image, curve, half_range, others, block_px)
+        observed = observe(image, curve, stage.half_range_px, others, stage.block_px, stage.shifts)
         use = observed.usable
         if int(use.sum()) < 4:
             return None
@@ -214,8 +248,7 @@ def _mixed_response(image: GreyImage, view: View, solution: Solution) -> float:
     if t.size < 2:
         return 0.0
     pixels, depth = view.pixels(sag, swing, t)
-    side = np.maximum(SIDE_OFFSET_PX, 0.5 * view.width_px(depth) + 1.5)[:, None] * normals(pixels)
-    response = pair_response(image, pixels, side)
+    response = _response(image, pixels, view.width_px(depth))
     return float(np.nanmean(response)) if np.isfinite(response).any() else 0.0
 
 

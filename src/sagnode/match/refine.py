@@ -13,14 +13,14 @@ from sagnode.match.localise import Blocks, localise
 from sagnode.match.ribbon import SIDE_OFFSET_PX, arc_length, normals, pair_response
 from sagnode.match.templates import View, even_parameters
 
-BLOCK_PX = 8.0
 WINDOW_PX = 24.0
 WINDOW_SHARE = 0.04
 WINDOW_RANK = 0.95
 """A window is seen when it responds more strongly than 95 % of the shifted curves there: by chance one in twenty."""
-SHIFTS_PX = (-31.0, -23.0, -16.0, 16.0, 23.0, 31.0)
+SHIFTS_PX = (16.0, -16.0, 23.0, -23.0, 31.0, -31.0)
 """Where the same curve is laid beside the wire to learn what the background alone looks like."""
 MAX_SAMPLES = 6000
+MIN_LENGTH_PX = 16
 RANK_MIN = 0.8
 NEIGHBOURS = 3
 """A block counts only if at least this many of the three blocks to either side see the wire where it would run on.
@@ -89,7 +89,7 @@ def trace(view: View, sag: float, swing: float, margin: float = 3.0) -> Track | 
     pixels, _ = view.pixels(sag, swing, rough)
     length = float(np.nansum(np.hypot(*np.diff(pixels, axis=0).T)))
     count = min(int(length) + 1, MAX_SAMPLES)
-    if count < 2 * BLOCK_PX:
+    if count < MIN_LENGTH_PX:
         return None
     t = even_parameters(view, sag, swing, count, margin)
     pixels, depth = view.pixels(sag, swing, t)
@@ -99,7 +99,7 @@ def trace(view: View, sag: float, swing: float, margin: float = 3.0) -> Track | 
 
 
 def observe(
-    image: GreyImage, track: Track, half_range: float, others: list[FloatArray], block_px: float = BLOCK_PX
+    image: GreyImage, track: Track, half_range: float, others: list[FloatArray], block_px: float, shifts: int
 ) -> Observed:
     """Measure the wire's offset in every block of a track.
 
@@ -109,9 +109,10 @@ def observe(
         half_range: how far across the curve to look, px.
         others: polylines (K, 2) of other known wires; blocks that could see them are masked.
         block_px: length of a block; long blocks see fainter wires once the curve is nearly right.
+        shifts: how many shifted curves a block is ranked against, nearest first.
     """
     blocks = localise(image, track.pixels, track.normal, track.width, half_range, block_px)
-    rank = _rank(image, track, blocks, half_range, block_px)
+    rank = _rank(image, track, blocks, half_range, block_px, SHIFTS_PX[:shifts])
     index = np.clip(np.round(blocks.index).astype(np.intp), 0, len(track.t) - 1)
     pixel, normal = track.pixels[index], track.normal[index]
     reach = half_range + 3.0 + 0.5 * float(np.median(track.width))
@@ -152,21 +153,23 @@ def _neighbours_agree(blocks: Blocks, usable: NDArray[np.bool_]) -> NDArray[np.b
     return result
 
 
-def _rank(image: GreyImage, track: Track, blocks: Blocks, half_range: float, block_px: float) -> FloatArray:
+def _rank(
+    image: GreyImage, track: Track, blocks: Blocks, half_range: float, block_px: float, shifts: tuple[float, ...]
+) -> FloatArray:
     """Share of the shifted curves on which the same place looks less like a wire (M,).
 
     A place is a block and its two neighbours: a faint wire goes on through all three, a speck of texture does not.
     """
     here = _with_neighbours(blocks)
     beaten = np.zeros(len(here))
-    for shift in SHIFTS_PX:
+    for shift in shifts:
         away = np.sign(shift) * (abs(shift) + half_range)
         aside = localise(image, track.pixels + away * track.normal, track.normal, track.width, half_range, block_px)
         # the shifted curve is a little longer or shorter, so its blocks are met by their sample, not by their number
         same = np.abs(aside.index[None, :] - blocks.index[:, None]).argmin(axis=1)
         # a block that leaves the frame when shifted proves nothing, for or against
         beaten += np.where(aside.valid[same], here > _with_neighbours(aside)[same], 0.5)
-    return beaten / len(SHIFTS_PX)
+    return beaten / len(shifts)
 
 
 def _with_neighbours(blocks: Blocks) -> FloatArray:

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sagnode.capture.port import GreyImage
-from sagnode.geometry.camera import FloatArray, Intrinsics, Pose, inside, project
-from sagnode.geometry.conductor import conductor_points, control_points
+from sagnode.geometry.camera import FloatArray, Intrinsics, Pose, inside, project, project_camera
+from sagnode.geometry.conductor import conductor_points, control_points, gravity_direction, sag_profile
 from sagnode.match.ribbon import SIDE_OFFSET_PX, normals, pair_response
 
 SAMPLES = 128
@@ -185,12 +185,16 @@ def _scores(
     """Mean response and visible share (S, W) of all templates."""
     scores = np.empty((len(sags), len(swings)), dtype=np.float32)
     visible = np.empty((len(sags), len(swings)))
-    chunk = max(1, 4096 // len(sags))
+    # in the camera's frame a curve is the chord plus its profile along one direction: both are made once
+    chord = (view.near + t[:, None] * (view.far - view.near) - view.pose.position) @ view.pose.rotation.T
+    rise = view.far - view.near
+    profile = sag_profile(np.full(len(sags), np.hypot(rise[0], rise[1])), rise[2], sags, t)
+    direction = gravity_direction(view.near, view.far, swings) @ view.pose.rotation.T
+    chunk = max(1, 2048 // len(sags))
     for start in range(0, len(swings), chunk):
-        some = swings[start : start + chunk]
-        grid_sag, grid_swing = (g.ravel() for g in np.meshgrid(sags, some, indexing="ij"))
-        space = conductor_points(view.near, view.far, grid_sag, grid_swing, t)
-        pixels, depth = project(view.intrinsics, view.pose, space)
+        some = direction[start : start + chunk]
+        camera = chord + profile[:, None, :, None] * some[None, :, None, :]
+        pixels, depth = project_camera(view.intrinsics, camera.reshape(-1, len(t), 3))
         normal = normals(pixels)
         side = np.maximum(SIDE_OFFSET_PX, 0.5 * view.width_px(depth) + 1.5)[..., None] * normal
         if pooled:
