@@ -10,6 +10,7 @@ import json
 import runpy
 import sys
 import tempfile
+import urllib.parse
 import urllib.request
 from pathlib import Path
 
@@ -22,13 +23,14 @@ def main() -> int:
         with urllib.request.urlopen(INDEX, timeout=60) as answer:
             files = json.load(answer)["urls"]
         wheel = next(file for file in files if file["packagetype"] == "bdist_wheel")
-        with urllib.request.urlopen(wheel["url"], timeout=120) as answer:  # noqa: S310 - an address that PyPI gave
+        address = urllib.parse.urljoin(INDEX, wheel["url"])  # mirrors give relative ones
+        with urllib.request.urlopen(address, timeout=120) as answer:  # noqa: S310 - an address that the index gave
             data = answer.read()
     except (OSError, ValueError, KeyError, StopIteration) as error:
         print(f"setup: error: pip cannot be had from {INDEX}: {error}", file=sys.stderr)
         return 1
     if hashlib.sha256(data).hexdigest() != wheel["digests"]["sha256"]:
-        print(f"setup: error: {wheel['url']} does not have the digest that PyPI states", file=sys.stderr)
+        print(f"setup: error: {address} does not have the digest that PyPI states", file=sys.stderr)
         return 1
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / wheel["filename"]
