@@ -47,17 +47,21 @@ class VirtualClock(Clock):
     """
 
     def __init__(self, start: datetime) -> None:
-        self._base = start
-        self._base_monotonic = self.monotonic()
+        self.set(start)
+
+    def set(self, now: datetime) -> None:
+        """Go on from here."""
+        self._base = (now, self.monotonic())  # one object: other threads read it
 
     def now(self) -> datetime:
         """See :meth:`Clock.now`."""
-        return self._base + timedelta(seconds=self.monotonic() - self._base_monotonic)
+        base, at = self._base
+        return base + timedelta(seconds=self.monotonic() - at)
 
     def idle_s(self, until: datetime) -> float:
         """Jump to ``until``; there is nothing to wait for."""
         if until > self.now():
-            self._base, self._base_monotonic = until, self.monotonic()
+            self.set(until)
         return 0.0
 
 

@@ -38,7 +38,8 @@ CAMERA_FAULTS_MAX = 3
 """So often in a row the worker reopens its camera itself; after that it is replaced, driver state and all."""
 _SLICE_S = 0.25
 _JUST_BEFORE = timedelta(microseconds=1)
-_KILL_WAIT_S = 5.0
+KILL_WAIT_S = 5.0
+"""Longest wait for a killed worker to be gone."""
 _EXIT_WAIT_S = 1.0
 """A worker that closed its pipe may tell by its exit status why, before it is killed."""
 
@@ -101,6 +102,8 @@ class Supervisor:
         self._resume_after: datetime | None = None
         self._last_reason: Reason | None = None
         self._lines: TypeAdapter[WorkerLine] = TypeAdapter(WorkerLine)
+        self.calibration_id = "unknown"
+        """Of the last worker that said hello."""
         self.restarts = 0
         """Workers that had to be replaced because of a failure."""
 
@@ -184,6 +187,7 @@ class Supervisor:
             return line
         if isinstance(line, Hello):
             child.hello = line
+            self.calibration_id = line.calibration_id
             self._next_frame_at = line.first_frame_at
             log.info("worker %d ready: %s", line.pid, line.camera)
             return child
@@ -352,7 +356,7 @@ class _Child:
             with contextlib.suppress(ProcessLookupError, PermissionError):
                 os.killpg(self.pid, signal.SIGKILL)
             try:
-                self._status = self._process.wait(_KILL_WAIT_S)
+                self._status = self._process.wait(KILL_WAIT_S)
             except subprocess.TimeoutExpired:
                 log.critical("worker %d cannot be killed; a driver holds it", self.pid)
             os.close(self._requests)

@@ -1,0 +1,219 @@
+"""The daemon's loop; its one turn is the way of a reading through this process.
+
+::
+
+    wait for the slot -> ask the worker -> stamp -> record -> publish -> show
+
+Nothing in it waits without a bound, and nothing that a camera, a worker, a disk or a broker does ends it: what fails
+becomes an invalid reading or a line of health. It ends when it is told to, or when a replay has shown its last frame.
+"""
+
+from __future__ import annotations
+
+import logging
+import signal
+import threading
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from enum import Enum
+
+from sagnode.daemon.clock import Clock, StepDetector, VirtualClock
+from sagnode.daemon.link import Link
+from sagnode.daemon.machine import ClockTrust, Machine
+from sagnode.daemon.notify import Watchdog
+from sagnode.daemon.pictures import Pictures
+from sagnode.daemon.recorder import Recorder
+from sagnode.daemon.schedule import Schedule
+from sagnode.daemon.show import Showcase
+from sagnode.daemon.stamp import Stamp
+from sagnode.message import ReadingHeader
+from sagnode.quality import Cause, Reason
+from sagnode.worker.supervisor import KILL_WAIT_S, Outcome, Supervisor
+
+log = logging.getLogger(__name__)
+
+_SLICE_S = 0.5
+_GRACE_S = 15.0
+"""What a turn may take beyond the reading's own deadline: killing, a slow card, drawing breath."""
+_SHOW_EVERY_S = 10.0
+
+
+class Ending(Enum):
+    """Why the loop ended."""
+
+    STOPPED = "stopped"
+    RELOAD = "reload"
+    END_OF_FRAMES = "the replay has shown its last frame"
+
+
+class Orders:
+    """What signals have asked for; a handler only sets a flag."""
+
+    def __init__(self) -> None:
+        self.stop = False
+        self.reload = False
+        self._news = threading.Event()
+
+    def install(self) -> None:
+        """SIGTERM and SIGINT stop, SIGHUP reloads."""
+        for number in (signal.SIGTERM, signal.SIGINT):
+            signal.signal(number, lambda *_: self._set("stop"))
+        signal.signal(signal.SIGHUP, lambda *_: self._set("reload"))
+
+    def wait(self, seconds: float) -> None:
+        """Sleep, but wake at once for an order."""
+        self._news.wait(seconds)
+
+    def _set(self, name: str) -> None:
+        setattr(self, name, True)
+        self._news.set()
+
+    @property
+    def any(self) -> bool:
+        """Whether the loop is to end."""
+        return self.stop or self.reload
+
+    def reload_done(self) -> None:
+        """The order to reload was carried out."""
+        self.reload = False
+        if not self.stop:
+            self._news.clear()
+
+
+@dataclass(frozen=True)
+class Parts:
+    """What the loop works with; made by :mod:`sagnode.daemon.node`."""
+
+    schedule: Schedule
+    """Of the configuration; with a virtual clock it is anchored anew at the first frame."""
+    interval_s: float | None
+    clock: Clock
+    """A :class:`VirtualClock` is set to the first frame's time."""
+    deadline_s: float
+    worker: Supervisor
+    stamp: Stamp
+    recorder: Recorder
+    link: Link | None
+    pictures: Pictures | None
+    showcase: Showcase
+    machine: Machine
+    watchdog: Watchdog
+    orders: Orders
+
+
+class Loop:
+    """One run of the daemon with one configuration."""
+
+    def __init__(self, parts: Parts) -> None:
+        self._parts = parts
+        self._schedule = parts.schedule
+        self._clock = parts.clock
+        self._next_frame_at: datetime | None = None
+        self._shown_at = float("-inf")
+
+    def run(self) -> Ending:
+        """Measure on schedule until there is an order or no frame is left."""
+        parts = self._parts
+        parts.worker.start()
+        slot = self._first_slot()
+        while self._wait_for(slot):
+            parts.watchdog.promise(parts.deadline_s + KILL_WAIT_S + _GRACE_S)
+            began, began_s = self._clock.now(), self._clock.monotonic()
+            outcome = parts.worker.measure(parts.pictures.room() if parts.pictures else None)
+            if outcome.stopped:
+                break
+            if outcome.end_of_frames:
+                return Ending.END_OF_FRAMES
+            trust = parts.machine.clock_trust()
+            readings = self._stamped(outcome, began, began_s, trust)
+            readings = parts.recorder.record(readings)
+            if parts.link is not None:
+                parts.link.wake()
+            slot = self._next_slot(slot)
+            self._show(readings, slot, trust)
+            parts.recorder.prune(self._clock.now(), clock_synced=trust.synced)
+        return Ending.STOPPED if parts.orders.stop else Ending.RELOAD
+
+    # -- when
+
+    def _first_slot(self) -> datetime | None:
+        """Intervals begin with a reading at once; crontabs keep to their times; a replay begins at its first frame."""
+        parts = self._parts
+        if isinstance(parts.clock, VirtualClock):
+            self._await_worker()
+            start = parts.worker.hello.first_frame_at if parts.worker.hello else None
+            if start is not None:
+                parts.clock.set(start)
+                if parts.interval_s is not None:
+                    self._schedule = Schedule(interval_s=parts.interval_s, anchor=start)
+        return self._clock.now() if parts.interval_s is not None else self._next_slot(None)
+
+    def _next_slot(self, last: datetime | None) -> datetime | None:
+        """The first slot after now; a clock that was slewed back a little does not make the last one due again."""
+        now = self._clock.now()
+        slot = self._schedule.next_after(now)
+        if last is not None and slot is not None and slot == last:
+            slot = self._schedule.next_after(slot)
+        if slot is not None and isinstance(self._clock, VirtualClock) and self._next_frame_at is not None:
+            slot = max(slot, self._next_frame_at)
+        return slot
+
+    def _wait_for(self, slot: datetime | None) -> bool:
+        """Wait until the slot has come, however the time of day may jump; False when there is an order instead."""
+        parts = self._parts
+        if isinstance(self._clock, VirtualClock):
+            self._await_worker()
+        steps = StepDetector(self._clock)
+        while not parts.orders.any:
+            left = self._clock.idle_s(slot) if slot is not None else float("inf")
+            if left <= 0:
+                return True
+            parts.watchdog.promise(_SLICE_S + _GRACE_S)
+            parts.orders.wait(min(left, _SLICE_S))
+            step = steps.step_s()
+            if step:
+                log.warning("the time of day stepped by %.0f s; the next slot is found anew", step)
+                slot = self._next_slot(None)
+            if time.monotonic() - self._shown_at > _SHOW_EVERY_S:
+                parts.recorder.retry()
+                parts.worker.start()
+                self._show([], slot, parts.machine.clock_trust())
+        return False
+
+    def _await_worker(self) -> None:
+        """Virtual time must not run away from a worker that is being started: its back-off is real time."""
+        parts = self._parts
+        while parts.worker.hello is None and not parts.orders.any:
+            wait_s = parts.worker.wait_s()
+            if wait_s <= 0:
+                parts.watchdog.promise(parts.deadline_s + KILL_WAIT_S + _GRACE_S)
+                parts.worker.ready(parts.deadline_s)
+                return
+            parts.watchdog.promise(_SLICE_S + _GRACE_S)
+            parts.orders.wait(min(wait_s, _SLICE_S))
+
+    # -- what
+
+    def _stamped(self, outcome: Outcome, began: datetime, began_s: float, trust: ClockTrust) -> Sequence[ReadingHeader]:
+        parts = self._parts
+        if outcome.reply is not None:
+            self._next_frame_at = outcome.reply.next_frame_at
+            return parts.stamp.reply(
+                outcome.reply, clock_synced=trust.synced, calibration_id=parts.worker.calibration_id
+            )
+        reason = outcome.reason or Reason(Cause.WORKER_CRASHED, "no answer and no reason")
+        return parts.stamp.refusal(
+            reason,
+            at=began,
+            monotonic_s=began_s,
+            clock_synced=trust.synced,
+            calibration_id=parts.worker.calibration_id,
+        )
+
+    def _show(self, readings: Sequence[ReadingHeader], slot: datetime | None, trust: ClockTrust) -> None:
+        parts = self._parts
+        self._shown_at = time.monotonic()
+        gap_s = self._schedule.gap_s(self._clock.now())
+        parts.showcase.show(readings, now=self._clock.now(), next_slot=slot, gap_s=gap_s, trust=trust)

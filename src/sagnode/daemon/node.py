@@ -1,0 +1,275 @@
+"""Puts a node together from its configuration, runs it, and takes it apart again in the right order."""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import logging
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+
+from sagnode import __version__
+from sagnode.config.load import LoadedNode, load_node
+from sagnode.config.node import Mqtt, Node
+from sagnode.daemon import logs, notify
+from sagnode.daemon.broker import Broker
+from sagnode.daemon.clock import Clock, SystemClock, VirtualClock
+from sagnode.daemon.journal import Journal
+from sagnode.daemon.link import Link
+from sagnode.daemon.loop import Ending, Loop, Orders, Parts
+from sagnode.daemon.machine import Machine
+from sagnode.daemon.outbox import Outbox
+from sagnode.daemon.pictures import Pictures
+from sagnode.daemon.places import runtime_directory, state_directory
+from sagnode.daemon.recorder import Recorder
+from sagnode.daemon.schedule import Schedule
+from sagnode.daemon.session import Terms
+from sagnode.daemon.show import Facts, Showcase
+from sagnode.daemon.stamp import Stamp
+from sagnode.errors import ConfigError, SagnodeError
+from sagnode.message import Identity, StatusMessage
+from sagnode.worker.supervisor import Limits, Supervisor, command_line
+
+log = logging.getLogger(__name__)
+
+DRAIN_S = 60.0
+"""After a replay's end: longest wait for the broker to take what is owed."""
+STOP_DRAIN_S = 1.0
+"""At a stop: time for what is on the wire."""
+
+
+def run(loaded: LoadedNode) -> int:
+    """Run the daemon until it is told to stop, or a replay ends; returns the exit code.
+
+    Raises:
+        SagnodeError: the state directory or the journal cannot be used, or another daemon uses them.
+    """
+    notifier = notify.from_environment()
+    watchdog = notify.Watchdog(notifier, notify.watchdog_period_s(os.environ, os.getpid()))
+    orders = Orders()
+    orders.install()
+    note = "ok"
+    while True:
+        ending = _run_once(loaded, notifier, watchdog, orders, note)
+        if ending is not Ending.RELOAD:
+            log.info("ended: %s", ending.value)
+            return 0
+        notifier.reloading()
+        loaded, note = _reload(loaded)
+        orders.reload_done()
+
+
+def _run_once(
+    loaded: LoadedNode, notifier: notify.Notifier, watchdog: notify.Watchdog, orders: Orders, note: str
+) -> Ending:
+    node = loaded.node
+    state_dir = state_directory(node.storage.state_dir)
+    schedule = Schedule(interval_s=node.schedule.interval_s, cron=node.schedule.cron)
+    prefix = _prefix(node) if node.mqtt else ""
+    with _alone(state_dir):
+        notifier.patience(120.0)
+        journal = Journal(state_dir / "journal.sqlite")
+        machine = Machine()
+        clock = VirtualClock(datetime.now(UTC)) if node.schedule.clock == "virtual" else SystemClock()
+        wording = _Wording(loaded, machine.boot_id(), clock)
+        link = _link(node.mqtt, prefix, journal, schedule, wording) if node.mqtt else None
+        worker = Supervisor(
+            command_line(loaded.path),
+            Limits(
+                deadline_s=node.schedule.deadline_s,
+                max_readings=node.worker.max_readings,
+                memory_max_mb=node.worker.memory_max_mb,
+                backoff_max_s=node.worker.backoff_max_s,
+            ),
+            beat=lambda: _beat(watchdog, orders),
+        )
+        recorder = Recorder(
+            journal, owed=link is not None, keep_days=node.storage.keep_days, keep_mb=node.storage.keep_mb
+        )
+        conductors = {c.id: c.phase for c in loaded.span.conductors if c.measured}
+        status_dir = runtime_directory() or state_dir
+        showcase = Showcase(
+            Facts(
+                identity=wording.identity,
+                configuration=loaded.path,
+                configuration_id=loaded.configuration_id,
+                state_dir=state_dir,
+                status_dir=status_dir,
+                boot_id=wording.boot_id,
+                virtual_clock=node.schedule.clock == "virtual",
+                deadline_s=node.schedule.deadline_s,
+                conductors=tuple(conductors),
+            ),
+            worker=worker,
+            recorder=recorder,
+            journal=journal,
+            link=link,
+            machine=machine,
+            notifier=notifier,
+        )
+        showcase.configuration_note = note
+        pictures = Pictures(status_dir / "pictures", node.storage.pictures_keep_mb, machine)
+        parts = Parts(
+            schedule=schedule,
+            interval_s=node.schedule.interval_s,
+            clock=clock,
+            deadline_s=node.schedule.deadline_s,
+            worker=worker,
+            stamp=Stamp(
+                identity=wording.identity,
+                conductors=conductors,
+                method=node.measure.method,
+                configuration_id=loaded.configuration_id,
+                software_version=__version__,
+                boot_id=wording.boot_id,
+                test=node.unit.commissioning,
+            ),
+            recorder=recorder,
+            link=link,
+            pictures=pictures if node.storage.pictures else None,
+            showcase=showcase,
+            machine=machine,
+            watchdog=watchdog,
+            orders=orders,
+        )
+        log.info("sagnode %s, %s, state in %s", __version__, loaded.path, state_dir)
+        if link is not None:
+            link.start()
+        notifier.ready(f"started; configuration {loaded.configuration_id}")
+        ending = Ending.STOPPED
+        try:
+            ending = Loop(parts).run()
+        finally:
+            if ending is Ending.STOPPED:
+                notifier.stopping()
+            worker.stop()
+            recorder.retry()
+            _leave(link, ending, watchdog, wording)
+            trust = machine.clock_trust()
+            showcase.show([], now=clock.now(), next_slot=None, gap_s=float("inf"), trust=trust, state=ending.value)
+            journal.close()
+        return ending
+
+
+def _beat(watchdog: notify.Watchdog, orders: Orders) -> bool:
+    """While the worker is waited for: all is well, go on, unless there is an order."""
+    watchdog.beat()
+    return not orders.any
+
+
+def _leave(link: Link | None, ending: Ending, watchdog: notify.Watchdog, wording: _Wording) -> None:
+    """Say goodbye to the broker; after the end of a replay not before it has everything, within bounds."""
+    if link is None:
+        return
+    drain_s = DRAIN_S if ending is Ending.END_OF_FRAMES else STOP_DRAIN_S
+    watchdog.promise(drain_s + 10.0)
+    link.stop(drain_s, wording.status("offline", wording.clock.now(), ending.value))
+
+
+@dataclass(frozen=True)
+class _Wording:
+    """What ``status`` says on MQTT."""
+
+    loaded: LoadedNode
+    boot_id: str
+    clock: Clock
+
+    @property
+    def identity(self) -> Identity:
+        """Of the unit."""
+        unit = self.loaded.node.unit
+        return Identity(utility=unit.utility, line=unit.line, span=unit.span, unit=unit.unit)
+
+    def status(self, state: str, since: datetime | None, text: str = "") -> bytes:
+        """Payload of the topic ``status``."""
+        message = StatusMessage.model_validate(
+            {
+                "state": state,
+                "since": since,
+                "software_version": __version__,
+                "boot_id": self.boot_id,
+                "configuration_id": self.loaded.configuration_id,
+                "text": text,
+            }
+        )
+        return message.model_dump_json().encode()
+
+    def online(self) -> bytes:
+        """At the moment of connection."""
+        return self.status("online", self.clock.now())
+
+
+def _link(mqtt: Mqtt, prefix: str, journal: Journal, schedule: Schedule, wording: _Wording) -> Link:
+    clock = wording.clock
+    gap_s = schedule.gap_s(clock.now())
+    # A newest reading must not lapse before the next one can replace it.
+    expiry_s = max(mqtt.expiry_s, 2 * gap_s if gap_s != float("inf") else 0.0)
+    outbox = Outbox(journal, inflight=mqtt.inflight, backlog_per_s=mqtt.backlog_per_s, expiry_s=expiry_s, now=clock.now)
+    tls = mqtt.tls
+    broker = Broker(
+        host=mqtt.host,
+        port=mqtt.port,
+        client_id=mqtt.client_id or f"sagnode-{wording.identity.unit}",
+        mqtt5=mqtt.protocol == "5",
+        username=mqtt.username,
+        password_file=mqtt.password_file,
+        tls=tls is not None,
+        ca_file=tls.ca_file if tls else None,
+        cert_file=tls.cert_file if tls else None,
+        key_file=tls.key_file if tls else None,
+        keepalive_s=mqtt.keepalive_s,
+    )
+    will = wording.status("offline", None, "connection lost")
+    return Link(Terms(broker, prefix, wording.online, will, expiry_s), outbox)
+
+
+def _prefix(node: Node) -> str:
+    """The topic prefix with its places filled in."""
+    assert node.mqtt is not None  # noqa: S101 - the caller has looked
+    unit = node.unit
+    template = node.mqtt.prefix
+    remedy = "it may name {utility}, {line}, {span} and {unit}, and may not contain + or #"
+    try:
+        prefix = template.format(utility=unit.utility, line=unit.line, span=unit.span, unit=unit.unit).strip("/")
+    except (KeyError, IndexError, ValueError, AttributeError) as error:
+        raise ConfigError(f"mqtt.prefix = {template!r} cannot be filled in ({error})", remedy) from error
+    if not prefix or set("+#\0") & set(prefix):
+        raise ConfigError(f"mqtt.prefix = {template!r} is no topic", remedy)
+    return prefix
+
+
+def _reload(loaded: LoadedNode) -> tuple[LoadedNode, str]:
+    """The new configuration, or the old one and why."""
+    try:
+        fresh = load_node(loaded.path)
+        Schedule(interval_s=fresh.node.schedule.interval_s, cron=fresh.node.schedule.cron)
+        if fresh.node.mqtt:
+            _prefix(fresh.node)
+    except ConfigError as error:
+        for fault in error.faults:
+            log.error("reload refused: %s", fault)
+        return loaded, f"reload refused, the old one stays in force: {error.faults[0]}"
+    logs.set_up(fresh.node.log_level)
+    log.info("configuration %s read anew", fresh.configuration_id)
+    return fresh, "ok"
+
+
+@contextlib.contextmanager
+def _alone(state_dir: Path) -> Iterator[None]:
+    """Hold the state directory for this process alone."""
+    remedy = "give the daemon's user a directory to write to: storage.state_dir, or StateDirectory= of its unit"
+    try:
+        state_dir.mkdir(parents=True, exist_ok=True)
+        lock = (state_dir / "lock").open("w")
+    except OSError as error:
+        raise SagnodeError(f"state directory {state_dir}: {error.strerror}", remedy) from error
+    with lock:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            what = f"state directory {state_dir} is in use by another sagnode"
+            raise SagnodeError(what, "stop that one, or give this one its own storage.state_dir") from error
+        yield
