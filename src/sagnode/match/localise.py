@@ -103,17 +103,15 @@ def localise(
         nothing = np.empty(0)
         return Blocks(nothing, nothing, nothing, nothing, nothing, nothing, nothing, np.empty(0, dtype=bool))
     arc = arc_length(pixels)
-    starts = _block_starts(arc, block_px)
+    starts = block_starts(arc, block_px)
     size = np.diff(np.append(starts, len(pixels)))
     widths = np.broadcast_to(np.asarray(width_px, dtype=np.float64), arc.shape)
     width = np.add.reduceat(widths, starts) / size
-    reach = 0.5 * float(np.max(width)) + 1.5 * blur_px + MARGIN_PX
-    near = int(np.ceil(reach / STEP_PX))
+    near = kernel_reach(float(np.max(width)), blur_px)
     far = int(np.ceil(half_range_px / STEP_PX)) + 1
-    offsets = STEP_PX * np.arange(-far - near, far + near + 1, dtype=np.float64)
-    profiles, seen = _profiles(image, pixels, normal, offsets, starts, size)
-    kernel = _unit_kernels(width, STEP_PX * np.arange(-near, near + 1, dtype=np.float64), blur_px)
-    position, sigma, snr, correlation, contrast = _peaks(profiles, kernel)
+    profiles, seen = block_profiles(image, pixels, normal, STEP_PX * _steps(far + near), starts)
+    kernel = unit_kernels(width, STEP_PX * _steps(near), blur_px)
+    position, sigma, snr, likeness, contrast = _peaks(profiles, kernel)
     offset = STEP_PX * (position - far)
     valid = seen & np.isfinite(offset) & (np.abs(offset) <= half_range_px)
     return Blocks(
@@ -122,28 +120,43 @@ def localise(
         offset=np.where(valid, offset, np.nan),
         sigma=np.where(valid, sigma, np.nan),
         snr=np.where(valid, snr, 0.0),
-        correlation=np.where(valid, correlation, 0.0),
+        correlation=np.where(valid, likeness, 0.0),
         contrast=np.where(valid, contrast, 0.0),
         valid=valid,
     )
 
 
-def _block_starts(arc: FloatArray, block_px: float) -> NDArray[np.intp]:
+def _steps(reach: int) -> FloatArray:
+    return np.arange(-reach, reach + 1, dtype=np.float64)
+
+
+def kernel_reach(width_px: float, blur_px: float = BLUR_PX) -> int:
+    """Half length of the kernel of a wire, in steps across the curve."""
+    return int(np.ceil((0.5 * width_px + 1.5 * blur_px + MARGIN_PX) / STEP_PX))
+
+
+def block_starts(arc: FloatArray, block_px: float) -> NDArray[np.intp]:
     """First sample of each of the equal blocks that come nearest to ``block_px``."""
     count = max(1, round(float(arc[-1]) / block_px))
     member = np.minimum((arc * (count / max(float(arc[-1]), 1e-9))).astype(np.intp), count - 1)
     return np.flatnonzero(np.diff(member, prepend=-1))
 
 
-def _profiles(
-    image: GreyImage,
-    pixels: FloatArray,
-    normal: FloatArray,
-    offsets: FloatArray,
-    starts: NDArray[np.intp],
-    size: NDArray[np.intp],
+def block_profiles(
+    image: GreyImage, pixels: FloatArray, normal: FloatArray, offsets: FloatArray, starts: NDArray[np.intp]
 ) -> tuple[FloatArray, NDArray[np.bool_]]:
-    """Mean grey profiles of the blocks (M, len(offsets)), and which blocks lie wholly inside the frame (M,)."""
+    """Mean grey profiles of blocks across a curve, and which blocks lie wholly inside the frame.
+
+    Args:
+        image: grey frame (height, width).
+        pixels: the curve (N, 2).
+        normal: its unit normals (N, 2).
+        offsets: where to sample across it (K,), px, rising.
+        starts: first sample of each block (M,).
+
+    Returns:
+        Profiles (M, K), and a mask (M,).
+    """
     height, width = image.shape
     ends = pixels[:, None, :] + offsets[[0, -1], None] * normal[:, None, :]
     with np.errstate(invalid="ignore"):
@@ -165,10 +178,11 @@ def _profiles(
         cv2.INTER_LINEAR,
         borderMode=cv2.BORDER_REPLICATE,
     )
+    size = np.diff(np.append(starts, len(pixels)))
     return np.add.reduceat(grey, starts, axis=0, dtype=np.float64) / size[:, None], seen
 
 
-def _unit_kernels(width: FloatArray, positions: FloatArray, blur_px: float) -> FloatArray:
+def unit_kernels(width: FloatArray, positions: FloatArray, blur_px: float) -> FloatArray:
     """Wire profiles (M, n) without mean, of unit norm; symmetric, so they have no slope either."""
     kernel = wire_kernel(width, positions, blur_px)
     kernel -= kernel.mean(axis=1, keepdims=True)
@@ -180,13 +194,8 @@ def _peaks(
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
     """Best position (fractional window number), sigma px, snr, correlation and contrast of each block."""
     n = kernel.shape[1]
-    slope = np.linspace(-1, 1, n)
-    slope /= np.linalg.norm(slope)
-    windows = sliding_window_view(profiles, n, axis=1)
-    amplitude = np.einsum("mkn,mn->mk", windows, kernel)
-    mean = windows.mean(axis=2)
-    energy = np.einsum("mkn,mkn->mk", windows, windows) - n * mean**2 - (windows @ slope) ** 2
-    score = np.abs(amplitude) / np.sqrt(np.maximum(energy, 0.0) + n * FLOOR_GREY**2)
+    amplitude, energy = compare(profiles, kernel)
+    score = correlation(amplitude, energy, n)
     rows = np.arange(len(score))
     # the outermost windows only serve the parabola
     peak = np.argmax(score[:, 1:-1], axis=1) + 1
@@ -202,3 +211,24 @@ def _peaks(
     snr = size / (noise * np.sqrt(CORRELATED))
     sigma = 1 / np.maximum(snr * steepness, 1e-6)
     return position, sigma, snr, here, sign * size * np.ptp(kernel, axis=1)
+
+
+def compare(profiles: FloatArray, kernel: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Slide kernels (M, n) of :func:`unit_kernels` over profiles (M, K).
+
+    Returns:
+        Amplitude (M, K-n+1) of the kernel in each window, signed, and the window's energy without mean and slope.
+    """
+    n = kernel.shape[1]
+    slope = np.linspace(-1, 1, n)
+    slope /= np.linalg.norm(slope)
+    windows = sliding_window_view(profiles, n, axis=1)
+    amplitude = np.einsum("mkn,mn->mk", windows, kernel)
+    mean = windows.mean(axis=2)
+    energy = np.einsum("mkn,mkn->mk", windows, windows) - n * mean**2 - (windows @ slope) ** 2
+    return amplitude, np.maximum(energy, 0.0)
+
+
+def correlation(amplitude: FloatArray, energy: FloatArray, n: int) -> FloatArray:
+    """Correlation 0..1 of windows of n samples with their kernel, either sign, small where there is only rounding."""
+    return np.asarray(np.abs(amplitude) / np.sqrt(energy + n * FLOOR_GREY**2))
