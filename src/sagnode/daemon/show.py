@@ -134,6 +134,9 @@ class Showcase:
             self._invalid += 1
         elif validity is Validity.GOOD:
             self._last_good_at = reading.acquired_at
+        if validity != self._last.get(reading.conductor, {}).get("validity"):
+            why = "; ".join(f"{r.cause}: {r.text}" for r in reading.quality.reasons)
+            log.info("%s is %s%s", reading.conductor, validity, f" ({why})" if why else "")
         self._last[reading.conductor] = {
             "sequence": reading.sequence,
             "acquired_at": reading.acquired_at.isoformat(),

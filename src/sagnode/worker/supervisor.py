@@ -94,6 +94,7 @@ class Supervisor:
         self._limits = limits
         self._beat = beat
         self._child: _Child | None = None
+        self._stopped = False
         self._failures = 0
         self._camera_faults = 0
         self._not_before = 0.0
@@ -117,7 +118,9 @@ class Supervisor:
         """One line on the camera for health and status."""
         if self._last_reason is not None:
             return self._last_reason.text
-        return f"ok: {self.hello.camera}" if self.hello else "starting"
+        if self.hello is not None:
+            return f"ok: {self.hello.camera}"
+        return "stopped" if self._stopped else "starting"
 
     @property
     def consecutive_failures(self) -> int:
@@ -130,6 +133,7 @@ class Supervisor:
 
     def start(self) -> None:
         """Start a worker if there is none and the back-off allows it; returns at once."""
+        self._stopped = False
         if self._child is None and self.wait_s() == 0.0:
             try:
                 self._child = _Child(self._command, self._resume_after)
@@ -168,6 +172,7 @@ class Supervisor:
 
     def stop(self) -> None:
         """End the worker and everything that it started."""
+        self._stopped = True
         if self._child is not None:
             self._child.end()
             self._child = None
