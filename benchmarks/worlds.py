@@ -148,7 +148,7 @@ NEGATIVES = {
     "one missing": "the first measured conductor is not there, its neighbours are",
     "covered": "a hand over the lens",
     "fogged": "the lens is fogged",
-    "dense fog": "extinction 0.05 per metre",
+    "dense fog": "one sees 20 m far",
     "night": "sun 30° below the horizon",
     "turned away": "the camera looks 25° elsewhere",
 }
@@ -169,7 +169,7 @@ def negative(kind: str, setting: Setting, moment: Moment) -> tuple[Moment, froze
     if kind == "fogged":
         return replace(moment, lens="fogged"), everything
     if kind == "dense fog":
-        return replace(moment, fog_per_m=0.05), everything
+        return replace(moment, fog_per_m=0.15), everything
     if kind == "night":
         return replace(moment, sun_elevation_deg=-30.0), everything
     x, y, z = moment.turn_rad
