@@ -1,7 +1,8 @@
 r"""The picture while it is painted: linear greys, the distance of what stands there, and exact anti-aliased shapes.
 
-Shapes are painted as the camera would see them through its point spread (a Gaussian of standard deviation s): a band of
-width w at the distance d of a pixel covers ``Φ((d + w/2)/s) - Φ((d - w/2)/s)`` of it, whatever fraction of a pixel w is.
+Shapes are painted as the camera would see them through its point spread (a Gaussian of standard deviation s): a band
+of width w at the distance d of a pixel covers ``Φ((d + w/2)/s) - Φ((d - w/2)/s)`` of it, whatever fraction of a pixel
+w is.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sagnode.geometry.camera import FloatArray, Intrinsics, Pose, project, undistort
-from sagnode.scene.noise import Float32
+from sagnode.scene.noise import Float32, Floats
 
 _TABLE_STEP = 1 / 512
 _TABLE_END = 6.0
@@ -32,7 +33,7 @@ class _Cdf:
     table: Float32 | None = None
 
 
-def normal_cdf(x: NDArray[np.floating]) -> Float32:
+def normal_cdf(x: Floats) -> Float32:
     """Φ(x) by table and linear interpolation (absolute error below 1e-6), any shape."""
     if _Cdf.table is None:
         _Cdf.table = _normal_cdf_table()
@@ -74,7 +75,7 @@ class Air:
     extinction_per_m: float
     light: float
 
-    def veil(self, grey: Float32 | float, distance: Float32 | float) -> Float32:
+    def veil(self, grey: Floats | float, distance: Floats | float) -> Float32:
         """Grey after ``distance`` metres of air."""
         clear = np.exp(-np.float32(self.extinction_per_m) * np.asarray(distance, dtype=np.float32))
         return np.asarray(np.float32(self.light) + (np.asarray(grey, np.float32) - np.float32(self.light)) * clear)
@@ -126,9 +127,7 @@ class Canvas:
         columns = slice(max(int(low[0]), 0), min(int(high[0]), self.intrinsics.width))
         return (rows, columns) if rows.start < rows.stop and columns.start < columns.stop else None
 
-    def blend(
-        self, where: tuple[slice, slice], cover: Float32, grey: Float32 | float, distance: Float32 | float
-    ) -> None:
+    def blend(self, where: tuple[slice, slice], cover: Floats, grey: Floats | float, distance: float) -> None:
         """Lay ``grey``, seen through ``distance`` metres of air, over a window by its coverage (0 to 1)."""
         target = self.grey[where]
         target += cover * (self.air.veil(grey, distance) - target)

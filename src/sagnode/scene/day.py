@@ -154,7 +154,7 @@ def day_of_moments(span: Span, plan: DayPlan, times: Sequence[datetime], seed: i
         moments.append(
             Moment(
                 wires={
-                    c.id: _hang(c, air + heat * own[c.id][0], wind + 0.35 * base * float(own[c.id][1][i]))
+                    c.id: _hang(c, air + heat * own[c.id][0], wind + 0.15 * base * float(own[c.id][1][i]))
                     for c in span.conductors
                 },
                 time=time,

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from functools import lru_cache
+from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 Float32 = NDArray[np.float32]
+Floats = NDArray[np.floating[Any]]
 TILE = 512
 """Side of a tile, texels."""
 
@@ -35,7 +37,7 @@ def tile(seed: int, name: str, slope: float = 1.1, coarsest: float = 96.0, fines
     return np.asarray((texture - texture.mean()) / texture.std(), dtype=np.float32)
 
 
-def sample(texture: Float32, x: Float32, y: Float32) -> Float32:
+def sample(texture: Float32, x: Floats, y: Floats) -> Float32:
     """Bilinear values of a repeated tile at texel coordinates (any range), same shape as ``x``."""
     # remap keeps source positions in 16 bits, so they are brought into the first tile before.
     side = np.float32(TILE)

@@ -9,7 +9,7 @@ import numpy as np
 
 from sagnode.capture.port import GreyImage
 from sagnode.scene.canvas import rays_of
-from sagnode.scene.noise import Float32, generator
+from sagnode.scene.noise import Float32, Floats, generator
 from sagnode.scene.spec import Moment, Scene
 
 _LONGEST = 2.0e4
@@ -23,14 +23,14 @@ def illumination(moment: Moment) -> float:
     """Light relative to a bright noon; falls by five decades between sunrise and the end of twilight."""
     knots = (-18.0, -12.0, -6.0, 0.0, 5.0, 15.0, 40.0, 65.0)
     decades = (-8.0, -7.0, -4.5, -2.4, -1.1, -0.6, -0.1, 0.0)
-    clear = 10 ** float(np.interp(moment.sun_elevation_deg, knots, decades))
+    clear = math.pow(10.0, float(np.interp(moment.sun_elevation_deg, knots, decades)))
     return clear * (1 - 0.7 * moment.cloud) * (1 - 0.4 * moment.rain)
 
 
 def sunlight(moment: Moment) -> float:
     """Share of direct light, 0 (overcast, fog, sun down) to 1."""
     height = min(max(math.sin(math.radians(moment.sun_elevation_deg)) * 2.2, 0.0), 1.0)
-    return height * (1 - moment.cloud) ** 0.8 * math.exp(-moment.fog_per_m * 500.0)
+    return height * math.pow(1 - moment.cloud, 0.8) * math.exp(-moment.fog_per_m * 500.0)
 
 
 def exposure_and_gain(moment: Moment) -> tuple[float, float]:
@@ -42,25 +42,28 @@ def exposure_and_gain(moment: Moment) -> tuple[float, float]:
     return brightness, gain
 
 
+def noise_level(moment: Moment, signal: Floats, gain: float) -> Floats:
+    """Standard deviation of the noise (grey levels) at a signal: read noise and shot noise, raised by the gain."""
+    read, shot = np.float32(moment.read_noise**2 * gain), np.float32(moment.shot_noise**2 * gain)
+    return np.asarray(np.sqrt(read + shot * np.maximum(signal, np.float32(0.0))))
+
+
 def develop(scene: Scene, moment: Moment, grey: Float32) -> GreyImage:
     """The 8-bit picture that the sensor delivers; deterministic in ``moment.seed``."""
     rng = generator(scene.seed, moment.seed, "sensor")
     brightness, gain = exposure_and_gain(moment)
-    light = _through_lens(scene, moment, grey, rng)
+    light = _through_lens(moment, grey, rng)
     if moment.rain > 0:
         light = _rain(moment, light, rng)
     if moment.glare > 0:
         light = _glare(scene, moment, light)
     signal = light * np.float32(brightness)
     noise = rng.standard_normal(signal.shape, dtype=np.float32)
-    variance = np.float32((moment.read_noise * math.sqrt(gain)) ** 2) + np.maximum(signal, 0) * np.float32(
-        moment.shot_noise**2 * gain
-    )
-    signal += noise * np.sqrt(variance)
+    signal += noise * noise_level(moment, signal, gain)
     return np.asarray(np.clip(np.rint(signal + np.float32(_BLACK)), 0, 255), dtype=np.uint8)
 
 
-def _through_lens(scene: Scene, moment: Moment, grey: Float32, rng: np.random.Generator) -> Float32:
+def _through_lens(moment: Moment, grey: Float32, rng: np.random.Generator) -> Float32:
     """What a covered, fogged or wet lens leaves of the picture."""
     height, width = grey.shape
     if moment.lens == "covered":
@@ -99,7 +102,8 @@ def _rain(moment: Moment, light: Float32, rng: np.random.Generator) -> Float32:
         t = k / (length * 4)
         kernel[int(t * length), int(length / 2 + 0.25 * (t - 0.5) * length)] += 1.0
     kernel /= kernel.sum()
-    return light + cv2.GaussianBlur(cv2.filter2D(drops, -1, kernel), (0, 0), 0.7) * np.float32(3.0)
+    streaks = cv2.GaussianBlur(cv2.filter2D(drops, -1, kernel), (0, 0), 0.7)
+    return np.asarray(light + streaks * np.float32(3.0), np.float32)
 
 
 def _glare(scene: Scene, moment: Moment, light: Float32) -> Float32:
@@ -116,4 +120,4 @@ def _glare(scene: Scene, moment: Moment, light: Float32) -> Float32:
     )
     angle = np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))
     veil = np.float32(60.0) + np.float32(900.0) / (1 + (angle / np.float32(3.0)) ** 2)
-    return light + np.float32(moment.glare) * veil
+    return np.asarray(light + np.float32(moment.glare) * veil, np.float32)

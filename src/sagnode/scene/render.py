@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -10,14 +11,14 @@ from sagnode.capture.port import GreyImage
 from sagnode.scene.canvas import Air, Canvas
 from sagnode.scene.catenary import WireState
 from sagnode.scene.noise import sample, tile
-from sagnode.scene.optics import develop, exposure_and_gain, sunlight
+from sagnode.scene.optics import develop, exposure_and_gain, noise_level, sunlight
 from sagnode.scene.sky import air_light, paint_horizon, paint_sky
 from sagnode.scene.spec import Moment, Scene, SpanFrame
 from sagnode.scene.structures import Bar, Thing, landmark_things, tower
 from sagnode.scene.terrain import paint_ground
 from sagnode.scene.truth import truth_document
 from sagnode.scene.vegetation import country_trees, draw_tree
-from sagnode.scene.wires import WireLook, draw_conductor, draw_wire
+from sagnode.scene.wires import Seen, WireLook, draw_conductor, draw_wire
 
 
 @dataclass(frozen=True)
@@ -52,15 +53,16 @@ def render(scene: Scene, moment: Moment) -> Rendered:
 def _paint_backdrop(canvas: Canvas, scene: Scene, moment: Moment, frame: SpanFrame, sun: float) -> None:
     if scene.world.backdrop == "country":
         paint_sky(canvas, scene, moment)
-        paint_horizon(canvas, scene, moment)
+        paint_horizon(canvas, scene)
         paint_ground(canvas, scene, frame, sun)
         return
     canvas.grey[...] = scene.world.plain_grey
     if scene.world.backdrop == "textured":
-        direction = canvas.direction / np.linalg.norm(canvas.direction, axis=-1, keepdims=True)
+        x, y, up = (canvas.direction[..., k] for k in range(3))
         scale = np.float32(canvas.intrinsics.fx)
+        bearing, elevation = np.arctan2(y, x) * scale, np.arctan2(up, np.hypot(x, y)) * scale
         texture = tile(scene.seed, "clutter", slope=0.9, coarsest=48.0, finest=2.5)
-        canvas.grey[...] += np.float32(16.0) * sample(texture, direction[..., 1] * scale, direction[..., 2] * scale)
+        canvas.grey[...] += np.float32(16.0) * sample(texture, bearing, elevation)
 
 
 def _things(canvas: Canvas, scene: Scene, frame: SpanFrame, sun: float) -> list[Thing]:
@@ -70,34 +72,21 @@ def _things(canvas: Canvas, scene: Scene, frame: SpanFrame, sun: float) -> list[
     things = landmark_things(canvas, scene, frame, sun)
     for number, tree in enumerate(country_trees(scene, frame)):
         distance = float(np.hypot(tree.along_m - place[0], tree.across_m - place[1]))
-        things.append(Thing(distance, _Draw(canvas, scene, frame, sun, tree=(number, tree))))
+        things.append(Thing(distance, partial(draw_tree, canvas, scene, frame, tree, sun, number)))
     if scene.world.towers and scene.world.backdrop == "country":
         for far in (True, False):
             bars = tower(scene, frame, far=far)
             distance = float(np.linalg.norm(np.mean([b.ends.mean(axis=0) for b in bars], axis=0) - camera))
             # The camera's own tower is behind the glass.
             if distance > 20.0 or far:
-                things.append(Thing(distance, _Draw(canvas, scene, frame, sun, bars=bars)))
+                things.append(Thing(distance, partial(_draw_bars, canvas, bars, sun)))
     return things
 
 
-@dataclass(frozen=True)
-class _Draw:
-    """A tree or a tower, ready to be drawn."""
-
-    canvas: Canvas
-    scene: Scene
-    frame: SpanFrame
-    sun: float
-    tree: tuple[int, object] | None = None
-    bars: list[Bar] | None = None
-
-    def __call__(self) -> None:
-        if self.tree is not None:
-            number, tree = self.tree
-            draw_tree(self.canvas, self.scene, self.frame, tree, self.sun, number)  # type: ignore[arg-type]
-        for bar in self.bars or ():
-            self.canvas.segment(bar.ends, bar.width_m, bar.grey * (0.8 + 0.35 * self.sun), opaque=False)
+def _draw_bars(canvas: Canvas, bars: list[Bar], sun: float) -> None:
+    """Draw a lattice; wires are seen through it."""
+    for bar in bars:
+        canvas.segment(bar.ends, bar.width_m, bar.grey * (0.8 + 0.35 * sun), opaque=False)
 
 
 def _draw_wires(canvas: Canvas, scene: Scene, moment: Moment, sun: float) -> dict[str, dict[str, float]]:
@@ -105,18 +94,34 @@ def _draw_wires(canvas: Canvas, scene: Scene, moment: Moment, sun: float) -> dic
     if not moment.draw_wires:
         return {}
     look = WireLook(shade=46.0 + 12.0 * sun, lit=112.0 + 78.0 * sun)
-    brightness, _ = exposure_and_gain(moment)
     for k, wire in enumerate(scene.world.other_wires):
         state = WireState(wire.sag_m)
         draw_wire(canvas, np.array(wire.near), np.array(wire.far), state, wire.diameter_m, look, [scene.seed, 900 + k])
     seen: dict[str, dict[str, float]] = {}
     for k, conductor in enumerate(scene.true.conductors):
-        state_or_none = moment.wires.get(conductor.id)
-        if state_or_none is None:
+        if conductor.id not in moment.wires:
             continue
-        how = draw_conductor(canvas, conductor, state_or_none, look, scene.seed + 1000 * (k + 1))
-        seen[conductor.id] = {
-            "visible_share": round(how.visible_share, 3),
-            "contrast_grey": round(how.contrast * brightness, 1),
-        }
+        how = draw_conductor(canvas, conductor, moment.wires[conductor.id], look, scene.seed + 1000 * (k + 1))
+        seen[conductor.id] = _summary(how, moment)
     return seen
+
+
+def _summary(how: Seen, moment: Moment) -> dict[str, float]:
+    """How much of a conductor is in the frame, and how much of it stands out from the noise.
+
+    ``visible_share``: share of the span in the frame and behind nothing. ``resolved_share``: share of the span where
+    the wire's contrast also reaches the noise of one pixel. ``contrast_grey``: median contrast over the visible span.
+    """
+    brightness, gain = exposure_and_gain(moment)
+    if moment.lens in ("covered", "fogged") or how.share.size == 0:
+        return {"visible_share": 0.0, "resolved_share": 0.0, "contrast_grey": 0.0}
+    contrast = how.contrast * brightness
+    clear = contrast >= noise_level(moment, how.background * brightness, gain)
+    order = np.argsort(contrast)
+    weight = np.cumsum(how.share[order])
+    median = contrast[order][int(np.searchsorted(weight, weight[-1] / 2))]
+    return {
+        "visible_share": round(min(float(how.share.sum()), 1.0), 3),
+        "resolved_share": round(min(float(how.share[clear].sum()), 1.0), 3),
+        "contrast_grey": round(float(median), 1),
+    }

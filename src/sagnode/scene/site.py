@@ -1,13 +1,14 @@
 """The demonstration's scene: what stands at ``sagnode/demo/site``, and the day that its frames show.
 
 ``span.toml`` is the survey and the source of every position. The true world differs from it by one draw of the stated
-uncertainties (``WORLD_SEED``); the landmarks' pixels in ``span.toml`` were clicked in the reference picture of that true
-world, with the click errors of the same draw (:func:`clicked`).
+uncertainties (``WORLD_SEED``); the landmarks' pixels in ``span.toml`` were clicked in the reference picture of that
+true world, with click errors drawn for it (:func:`clicked`).
 """
 
 from __future__ import annotations
 
 import tomllib
+from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from importlib.resources import files
@@ -18,17 +19,22 @@ import numpy as np
 from sagnode.calibrate.files import load_intrinsics
 from sagnode.config.base import Pixel
 from sagnode.config.span import Span
+from sagnode.errors import ConfigError, SagnodeError
 from sagnode.geometry.camera import project
+from sagnode.scene.catenary import WireState
 from sagnode.scene.day import DayPlan, Spell, day_of_moments, sag_at_temperature, sun_position
 from sagnode.scene.noise import generator
 from sagnode.scene.perturb import perturbed, perturbed_intrinsics
-from sagnode.scene.catenary import WireState
+from sagnode.scene.render import render
 from sagnode.scene.spec import LandmarkKind, Moment, Scene, World
+from sagnode.scene.writer import encoded, write_day
 
 WORLD_SEED = 20260621
 DAY_SEED = 41
 FIRST = datetime(2026, 6, 21, 0, 0, tzinfo=UTC)
 FRAMES = 48
+JPEG_QUALITY = 85
+REFERENCE_QUALITY = 92
 STEP = timedelta(minutes=30)
 
 LANDMARK_KINDS: dict[str, LandmarkKind] = {
@@ -77,7 +83,10 @@ def demo_site(directory: Path | None = None) -> Site:
     """
     # Not by sagnode.config.load: it asks for the reference picture, which this scene is there to make.
     base = directory or site_directory()
-    surveyed = Span.model_validate(tomllib.loads((base / "span.toml").read_text(encoding="utf-8")))
+    try:
+        surveyed = Span.model_validate(tomllib.loads((base / "span.toml").read_text(encoding="utf-8")))
+    except (OSError, ValueError) as error:
+        raise ConfigError(f"{base / 'span.toml'}: cannot be used: {error}", "see: sagnode config check") from error
     stated = load_intrinsics(base / surveyed.camera.intrinsics)
     rng = generator(WORLD_SEED, "errors")
     true = perturbed(surveyed, rng)
@@ -108,3 +117,18 @@ def clicked(scene: Scene) -> dict[str, Pixel]:
     noise = rng.standard_normal(pixels.shape) * np.array([[m.pixel_u_px] for m in scene.surveyed.landmarks])
     rounded = np.round(pixels + noise, 1)
     return {m.id: (float(u), float(v)) for m, (u, v) in zip(scene.true.landmarks, rounded, strict=True)}
+
+
+def write_site(site: Site, out: Path, progress: Callable[[int, int], None] | None = None) -> list[Path]:
+    """Write ``reference.jpg`` and ``frames/*.jpg`` with their truth into ``out``; returns the frames' paths.
+
+    Raises:
+        SagnodeError: something there cannot be written.
+    """
+    frames = write_day(out / "frames", site.scene, site.day, "jpg", JPEG_QUALITY, progress)
+    reference = out / "reference.jpg"
+    try:
+        reference.write_bytes(encoded(render(site.scene, site.reference).image, "jpg", REFERENCE_QUALITY))
+    except OSError as error:
+        raise SagnodeError(f"{reference}: cannot be written: {error.strerror}", "choose another --out") from error
+    return frames

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from sagnode.scene.canvas import Canvas
-from sagnode.scene.noise import Float32, sample, tile
+from sagnode.scene.noise import Float32, Floats, sample, tile
 from sagnode.scene.spec import Moment, Scene
 
 CLOUD_BASE_M = 1400.0
@@ -16,7 +16,7 @@ _EARLIEST_SLOPE = 0.02
 
 def air_light(moment: Moment) -> float:
     """Grey of the horizon and of fog."""
-    return 196.0 - 18.0 * moment.cloud
+    return 196.0 - 34.0 * moment.cloud
 
 
 def paint_sky(canvas: Canvas, scene: Scene, moment: Moment) -> None:
@@ -27,8 +27,8 @@ def paint_sky(canvas: Canvas, scene: Scene, moment: Moment) -> None:
     direction = canvas.direction[rows]
     horizontal = np.hypot(direction[..., 0], direction[..., 1])
     up = direction[..., 2] / horizontal
-    clear = np.float32(150.0) + np.float32(canvas.air.light - 150.0) * np.exp(-np.maximum(up, 0.0) / np.float32(0.16))
-    grey = clear - np.float32(25.0 * moment.cloud)
+    zenith = np.float32(150.0 - 25.0 * moment.cloud)
+    grey = zenith + (np.float32(canvas.air.light) - zenith) * np.exp(-np.maximum(up, 0.0) / np.float32(0.16))
     if moment.cloud > 0:
         layer = np.float32(CLOUD_BASE_M / CLOUD_TEXEL_M) / np.maximum(up, np.float32(_EARLIEST_SLOPE)) / horizontal
         east, north = (d / CLOUD_TEXEL_M for d in moment.cloud_drift_m)
@@ -37,7 +37,7 @@ def paint_sky(canvas: Canvas, scene: Scene, moment: Moment) -> None:
         density = sample(texture, x, y) + np.float32(3.2 * moment.cloud - 1.7)
         cover = np.clip(density * np.float32(0.7), 0.0, 1.0)
         # thick clouds are dark below; thin ones shine
-        tone = np.float32(222.0 - 30.0 * moment.cloud) - np.float32(32.0) * np.clip(density - 0.4, 0.0, 2.0)
+        tone = np.float32(222.0 - 30.0 * moment.cloud) - np.float32(32.0) * np.clip(density - 0.4, 0.0, 1.2)
         fade = np.clip((up - np.float32(_EARLIEST_SLOPE)) / np.float32(0.10), 0.0, 1.0)
         grey += cover * fade * (tone - grey)
     if moment.fog_per_m > 1e-3:
@@ -46,7 +46,7 @@ def paint_sky(canvas: Canvas, scene: Scene, moment: Moment) -> None:
     canvas.grey[rows] = grey
 
 
-def paint_horizon(canvas: Canvas, scene: Scene, moment: Moment) -> None:
+def paint_horizon(canvas: Canvas, scene: Scene) -> None:
     """Paint hills far away and the forest edge, as cylinders about the camera's place."""
     world = scene.world
     layers: list[tuple[str, float, float, float, float]] = [("hills", 4200.0, 55.0, 30.0, 78.0)]
@@ -77,10 +77,10 @@ def paint_horizon(canvas: Canvas, scene: Scene, moment: Moment) -> None:
         light = np.float32(tone) * (1 + np.float32(0.20 if name == "forest" else 0.05) * rough)
         light *= np.float32(0.8) + np.float32(0.3) * np.clip((z - foot) / np.float32(height), 0.0, 1.3)
         target = canvas.grey[rows]
-        target += cover * (canvas.air.veil(light, np.float32(distance)) - target)
+        target += cover * (canvas.air.veil(light, distance) - target)
 
 
-def _skyline(seed: int, name: str, metres: Float32, height: float, roughness: float) -> Float32:
+def _skyline(seed: int, name: str, metres: Floats, height: float, roughness: float) -> Float32:
     """Height (m) of a silhouette at the metres along it: two scales of noise."""
     texture = tile(seed, name, slope=1.2, coarsest=120.0, finest=3.0)
     scale = 1.3 if name == "forest" else 60.0

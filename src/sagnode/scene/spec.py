@@ -48,7 +48,7 @@ class World:
     backdrop: Literal["country", "plain", "textured"] = "country"
     """country: everything; plain: an even picture; textured: an even picture of clutter, without anything else."""
     landmark_kinds: Mapping[str, LandmarkKind] = field(default_factory=dict)
-    """What is drawn at each landmark; by default a survey target."""
+    """What is drawn at each landmark; by default a joint of a tower that it was surveyed at, else a survey target."""
     target_side_m: float | None = None
     """Side of a survey target; by default some 26 px."""
     trees: tuple[Tree, ...] = ()
@@ -62,31 +62,6 @@ class World:
     """Distance of that forest."""
     plain_grey: float = 170.0
     """Mean grey of the backdrops ``plain`` and ``textured``."""
-
-
-@dataclass(frozen=True)
-class Scene:
-    """A span as surveyed, the truth behind it, the camera and the world.
-
-    Everything that is random about the world (clouds, fields, outlines) comes from ``seed``.
-    """
-
-    surveyed: Span
-    true: Span
-    """The real positions; see :func:`sagnode.scene.perturb.perturbed`."""
-    intrinsics: Intrinsics
-    """Of the true lens."""
-    world: World = World()
-    seed: int = 1
-
-    @property
-    def pose(self) -> Pose:
-        """The true pose of the camera at rest."""
-        return survey_pose(self.true)
-
-    def pose_at(self, moment: Moment) -> Pose:
-        """The true pose at a moment: at rest, turned and shifted by sway, drift or a knock."""
-        return turned(self.pose, np.array(moment.turn_rad), np.array(moment.shift_m))
 
 
 @dataclass(frozen=True)
@@ -125,6 +100,31 @@ class Moment:
     draw_wires: bool = True
     seed: int = 0
     """Of noise and rain."""
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A span as surveyed, the truth behind it, the camera and the world.
+
+    Everything that is random about the world (clouds, fields, outlines) comes from ``seed``.
+    """
+
+    surveyed: Span
+    true: Span
+    """The real positions; see :func:`sagnode.scene.perturb.perturbed`."""
+    intrinsics: Intrinsics
+    """Of the true lens."""
+    world: World = World()
+    seed: int = 1
+
+    @property
+    def pose(self) -> Pose:
+        """The true pose of the camera at rest."""
+        return survey_pose(self.true)
+
+    def pose_at(self, moment: Moment) -> Pose:
+        """The true pose at a moment: at rest, turned and shifted by sway, drift or a knock."""
+        return turned(self.pose, np.array(moment.turn_rad), np.array(moment.shift_m))
 
 
 def survey_pose(span: Span) -> Pose:

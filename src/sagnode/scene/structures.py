@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -10,7 +11,7 @@ import numpy as np
 from sagnode.config.span import Landmark
 from sagnode.geometry.camera import FloatArray
 from sagnode.scene.canvas import Canvas, hull
-from sagnode.scene.spec import Scene, SpanFrame, ground_height
+from sagnode.scene.spec import LandmarkKind, Scene, SpanFrame, ground_height
 
 UP = np.array([0.0, 0.0, 1.0])
 
@@ -76,7 +77,7 @@ def _body(frame: SpanFrame, axis: FloatArray, ground: float, waist: float, top: 
         corners = [[axis[0] + i * b, axis[1] + j * b, z] for i, j in ((-1, -1), (-1, 1), (1, 1), (1, -1))]
         rings.append(frame.to_site(np.array(corners)))
     bars: list[Bar] = []
-    for lower, upper in zip(rings, rings[1:], strict=False):
+    for lower, upper in itertools.pairwise(rings):
         for k in range(4):
             n = (k + 1) % 4
             bars.append(Bar(np.stack([lower[k], upper[k]]), 0.13, 84.0))
@@ -119,18 +120,32 @@ def _true_joint(scene: Scene, place: FloatArray) -> FloatArray:
     """The true position of the tower landmark that belongs to a joint, or the joint's own."""
     best, reach = place, 0.8
     for mark in scene.true.landmarks:
-        if scene.world.landmark_kinds.get(mark.id) == "tower":
-            distance = float(np.linalg.norm(np.array(mark.position) - place))
-            if distance < reach:
-                best, reach = np.array(mark.position), distance
+        distance = float(np.linalg.norm(np.array(mark.position) - place))
+        if distance < reach and landmark_kind(scene, mark.id) == "tower":
+            best, reach = np.array(mark.position), distance
     return best
+
+
+def landmark_kind(scene: Scene, name: str) -> LandmarkKind:
+    """What a landmark is: as the world says, else the joint of a drawn tower at which it was surveyed, or a target."""
+    if name in scene.world.landmark_kinds:
+        return scene.world.landmark_kinds[name]
+    if scene.world.backdrop != "country" or not scene.world.towers:
+        return "target"
+    place = np.array(next(m.position for m in scene.surveyed.landmarks if m.id == name))
+    for conductor in scene.surveyed.conductors:
+        for end in (conductor.near, conductor.far):
+            joint = np.array(end) + (scene.world.insulator_m if conductor.measured else 0.0) * UP
+            if float(np.linalg.norm(joint - place)) < 0.3:
+                return "tower"
+    return "target"
 
 
 def landmark_things(canvas: Canvas, scene: Scene, frame: SpanFrame, sunlight: float) -> list[Thing]:
     """What stands at the landmarks (towers draw their own)."""
     things: list[Thing] = []
     for mark in scene.true.landmarks:
-        kind = scene.world.landmark_kinds.get(mark.id, "target")
+        kind = landmark_kind(scene, mark.id)
         place = np.array(mark.position)
         distance = float(np.linalg.norm(place - canvas.pose.position))
         if kind == "target":
@@ -203,13 +218,9 @@ def _house(canvas: Canvas, scene: Scene, frame: SpanFrame, place: FloatArray, su
 
     def draw() -> None:
         lit = 0.75 + 0.5 * sunlight
-        gable = np.stack(
-            [at(0, -half, 0), at(0, half, 0), at(0, half, eaves), at(0, 0, ridge), at(0, -half, eaves)]
-        )
+        gable = np.stack([at(0, -half, 0), at(0, half, 0), at(0, half, eaves), at(0, 0, ridge), at(0, -half, eaves)])
         front = np.stack([at(0, -half, 0), at(long, -half, 0), at(long, -half, eaves), at(0, -half, eaves)])
-        roof = np.stack(
-            [at(-0.0, -half, eaves), at(long, -half, eaves), at(long, 0, ridge), at(0, 0, ridge)]
-        )
+        roof = np.stack([at(0, -half, eaves), at(long, -half, eaves), at(long, 0, ridge), at(0, 0, ridge)])
         outline = np.concatenate([gable, front, roof])
         pixels, _ = canvas.project(outline)
         if not np.all(np.isfinite(pixels)):

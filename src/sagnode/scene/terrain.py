@@ -6,12 +6,12 @@ import numpy as np
 
 from sagnode.geometry.camera import FloatArray
 from sagnode.scene.canvas import Canvas, normal_cdf
-from sagnode.scene.noise import Float32, sample, tile
+from sagnode.scene.noise import Float32, Floats, sample, tile
 from sagnode.scene.spec import Scene, SpanFrame, ground_height
 from sagnode.scene.truth import ground_and_obstacles
 
-_SCALES = ((0.35, 15.0), (2.5, 11.0), (18.0, 9.0))
-"""Texel (m) and contrast (grey levels) of the layers of grass and fields."""
+_SCALES = ((0.22, 14.0, 0.35, 20.0), (1.8, 9.0, 0.6, 30.0), (18.0, 9.0, 0.8, 64.0))
+"""Texel (m), contrast (grey levels), slope and coarsest texels of the layers of grass, tufts and fields."""
 _FAR_M = 6000.0
 
 
@@ -41,9 +41,9 @@ def paint_ground(canvas: Canvas, scene: Scene, frame: SpanFrame, sunlight: float
     height = max(float(origin[2]) - float(ground_height(scene.true, np.array([origin[0]]))[0]), 1.0)
     footprint = pixel * np.maximum(reach / np.float32(height), 1.0)
     grey = np.full(reach.shape, 96.0, np.float32)
-    for k, (texel, contrast) in enumerate(_SCALES):
+    for k, (texel, contrast, fall, coarsest) in enumerate(_SCALES):
         weight = np.clip(np.float32(1.6) - footprint / np.float32(1.5 * texel), 0.0, 1.0)
-        texture = tile(scene.seed, f"ground{k}", slope=0.8, coarsest=64.0, finest=2.2)
+        texture = tile(scene.seed, f"ground{k}", slope=fall, coarsest=coarsest, finest=2.2)
         layer = sample(texture, across / np.float32(texel), along / np.float32(texel))
         if k == 2:
             # fields: two crops with a border between them
@@ -65,12 +65,12 @@ def paint_ground(canvas: Canvas, scene: Scene, frame: SpanFrame, sunlight: float
     target += np.where(falling, edge, np.float32(0.0)) * (grey - target)
 
 
-def _track(along: Float32) -> Float32:
+def _track(along: Floats) -> Float32:
     """Where the farm track runs: across, m."""
     return np.asarray(np.float32(-9.0) + np.float32(3.0) * np.sin(along / np.float32(55.0)), np.float32)
 
 
-def _strip(offset: Float32, half_width: float, footprint: Float32) -> Float32:
+def _strip(offset: Floats, half_width: float, footprint: Floats) -> Float32:
     """Coverage of a strip of the ground seen with a footprint (m) per pixel."""
     s = footprint * np.float32(0.75)
     return np.asarray(
@@ -78,7 +78,7 @@ def _strip(offset: Float32, half_width: float, footprint: Float32) -> Float32:
     )
 
 
-def _reach(scene: Scene, origin: FloatArray, direction: Float32, horizontal: Float32) -> Float32:
+def _reach(scene: Scene, origin: FloatArray, direction: Floats, horizontal: Floats) -> Float32:
     """Horizontal distance (m) from the camera to the ground along every ray."""
     slope = direction[..., 2] / horizontal
     forward = direction[..., 0] / horizontal
@@ -98,7 +98,7 @@ def _reach(scene: Scene, origin: FloatArray, direction: Float32, horizontal: Flo
         height = _surface(scene, (np.float32(origin[0]) + forward * reach).astype(np.float64))
         wanted = np.float32(height - origin[2]) / fall
         reach = np.clip((reach + wanted) / 2, 0.3, _FAR_M).astype(np.float32)
-    return reach
+    return np.asarray(reach, np.float32)
 
 
 def _surface(scene: Scene, along: FloatArray) -> FloatArray:

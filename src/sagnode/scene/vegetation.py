@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from sagnode.geometry.camera import FloatArray
 from sagnode.scene.canvas import Canvas
 from sagnode.scene.noise import generator, sample, tile
 from sagnode.scene.spec import Scene, SpanFrame, Tree, ground_height
@@ -21,7 +22,7 @@ def country_trees(scene: Scene, frame: SpanFrame) -> list[Tree]:
     left, right = min(left, camera[1] - 14.0), max(right, camera[1] + 14.0)
     marks = frame.to_span(np.array([m.position for m in scene.true.landmarks]).reshape(-1, 3))
     length = frame.length
-    for _ in range(110):
+    for _ in range(80):
         along = float(rng.uniform(0.15, 2.2)) * length
         side = float(rng.random())
         away = float(rng.gamma(1.4, 22.0)) + 0.02 * along
@@ -38,7 +39,7 @@ def country_trees(scene: Scene, frame: SpanFrame) -> list[Tree]:
     return trees
 
 
-def _hides(tree: Tree, marks: np.ndarray, camera: np.ndarray) -> bool:  # type: ignore[type-arg]
+def _hides(tree: Tree, marks: FloatArray, camera: FloatArray) -> bool:
     """Whether a tree stands before a landmark, or so close behind it that leaves would crowd it."""
     away = float(np.hypot(tree.along_m - camera[0], tree.across_m - camera[1]))
     bearing = np.arctan2(tree.across_m - camera[1], tree.along_m - camera[0])

@@ -5,15 +5,17 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sagnode.config.span import Conductor
 from sagnode.geometry.camera import FloatArray
 from sagnode.scene.canvas import Canvas, normal_cdf
 from sagnode.scene.catenary import WireState, wire_points
-from sagnode.scene.noise import Float32, generator
+from sagnode.scene.noise import Float32, Floats, generator
 
-STEP_PX = 0.8
-"""Spacing of the polyline; on a bend of 20 px radius it departs from the curve by 0.004 px."""
+STEP_PX = 1.0
+"""Spacing of the polyline; on a bend of 20 px radius it departs from the curve by 0.006 px."""
+Indices = NDArray[np.intp]
 REACH_M = 0.6
 """Wires nearer to the camera than this are not drawn (a pinhole has no near focus)."""
 
@@ -28,12 +30,17 @@ class WireLook:
 
 @dataclass(frozen=True)
 class Seen:
-    """How a wire came out in the picture."""
+    """How a wire came out in the picture, at points along it that are in the frame and behind nothing."""
 
-    visible_share: float
-    """Share of the span (by horizontal length) that is in the frame and behind nothing."""
-    contrast: float
-    """Median difference in grey levels between the wire's middle and its background, along the visible pixels."""
+    share: FloatArray
+    """Share of the span (N,) that every point stands for."""
+    contrast: Floats
+    """Difference of its middle from what is behind it (N,), linear greys."""
+    background: Floats
+    """What is behind it (N,), linear greys."""
+
+
+_UNSEEN = Seen(np.zeros(0), np.zeros(0, np.float32), np.zeros(0, np.float32))
 
 
 def sub_conductor_offsets(conductor: Conductor) -> FloatArray:
@@ -73,33 +80,33 @@ def draw_wire(
     """Draw one wire; things that stand nearer (trees, buildings) hide it."""
     curve = _Polyline.of(canvas, near, far, state)
     if curve is None:
-        return Seen(0.0, 0.0)
+        return _UNSEEN
     focal = (canvas.intrinsics.fx + canvas.intrinsics.fy) / 2
     width = (focal * diameter_m / curve.depth).astype(np.float32)
     grey = _greys(canvas, curve, look, seed)
-    reach = width / 2 + 4 * canvas.psf_px
+    reach = width / 2 + 3.5 * canvas.psf_px
+    seen = _seen(canvas, curve, width, grey)
     row, column, segment, beside = _nearest(canvas, curve, reach)
     if row.size == 0:
-        return Seen(0.0, 0.0)
+        return _UNSEEN
     s = np.float32(canvas.psf_px)
     half = width[segment] / 2
     cover = normal_cdf((beside + half) / s) - normal_cdf((beside - half) / s)
     free = canvas.distance[row, column] > curve.depth[segment]
     cover *= free
     background = canvas.grey[row, column]
-    difference = cover * (grey[segment] - background)
-    canvas.grey[row, column] = background + difference
-    centre = free & (np.abs(beside) < 0.5)
-    contrast = float(np.median(np.abs(difference[centre]))) if centre.any() else 0.0
-    return Seen(_visible_share(canvas, curve), contrast)
+    canvas.grey[row, column] = background + cover * (grey[segment] - background)
+    return seen
 
 
-def _visible_share(canvas: Canvas, curve: _Polyline) -> float:
-    """Share of the span whose middle line is in the frame and before everything that is opaque."""
+def _seen(canvas: Canvas, curve: _Polyline, width: Floats, grey: Floats) -> Seen:
+    """What can be seen of a wire, before it is drawn."""
     column, row = np.rint(curve.pixels).astype(int).T
-    within = (column >= 0) & (column < canvas.intrinsics.width) & (row >= 0) & (row < canvas.intrinsics.height)
-    free = canvas.distance[row[within], column[within]] > curve.depth[within]
-    return min(float(np.sum(curve.share[within][free])), 1.0)
+    kept = (column >= 0) & (column < canvas.intrinsics.width) & (row >= 0) & (row < canvas.intrinsics.height)
+    kept[kept] = canvas.distance[row[kept], column[kept]] > curve.depth[kept]
+    background = canvas.grey[row[kept], column[kept]]
+    cover = 2 * normal_cdf(width[kept] / np.float32(2 * canvas.psf_px)) - 1
+    return Seen(curve.share[kept], np.abs(cover * (grey[kept] - background)), background)
 
 
 @dataclass(frozen=True)
@@ -111,7 +118,7 @@ class _Polyline:
     elevation: Float32
     s: FloatArray
     share: FloatArray
-    joined: np.ndarray[tuple[int, ...], np.dtype[np.bool_]]
+    joined: NDArray[np.bool_]
     """Whether point i is joined to point i + 1 (the curve may leave the frame and return)."""
 
     @classmethod
@@ -147,7 +154,7 @@ class _Polyline:
             elevation[index].astype(np.float32),
             s[index],
             share,
-            np.append(np.diff(index) == 1, False),  # noqa: FBT003 - the value that is appended
+            np.append(np.diff(index) == 1, False),
         )
 
 
@@ -162,9 +169,7 @@ def _greys(canvas: Canvas, curve: _Polyline, look: WireLook, seed: list[int]) ->
     return canvas.air.veil(grey.astype(np.float32), curve.depth)
 
 
-def _nearest(
-    canvas: Canvas, curve: _Polyline, reach: Float32
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, Float32]:  # type: ignore[type-arg]
+def _nearest(canvas: Canvas, curve: _Polyline, reach: Floats) -> tuple[Indices, Indices, Indices, Float32]:
     """Every pixel within reach of the curve once: row, column, nearest segment, signed distance (px)."""
     w, h = canvas.intrinsics.width, canvas.intrinsics.height
     rows, columns, segments, distances = [], [], [], []
