@@ -8,7 +8,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from config_files import CAMERA, SiteFiles
+from config_files import SiteFiles
 
 from sagnode.calibrate.files import save_intrinsics
 from sagnode.config.check import Report, check
@@ -39,6 +39,14 @@ def test_the_examples_are_in_order_but_for_the_files_that_a_user_adds(example: s
     assert report.faults == ()
     assert keys(report) == expected
     assert "without a reference_image" in report.warnings[-1].text
+
+
+def test_the_demonstrations_site_is_in_order_and_lacks_a_broker_only() -> None:
+    report = check(Path(__file__).parents[2] / "src" / "sagnode" / "demo" / "site")
+    assert report.faults == ()
+    assert [warning.text for warning in report.warnings] == [
+        "there is no table [mqtt]; readings are kept and shown here, and published nowhere"
+    ]
 
 
 def test_the_papers_clearances_come_out_of_the_examples() -> None:
@@ -200,4 +208,3 @@ def test_a_reference_image_of_another_size_or_that_is_none_is_a_fault(site: Site
 def test_a_span_file_alone_is_looked_over_too(site: SiteFiles) -> None:
     site.write(span=lambda s: s["conductors"][0].update(sag_max_m=14.0))
     assert "conductors[0].sag_max_m" in keys(check(site.span))
-    assert CAMERA.width == 1456
