@@ -28,6 +28,8 @@ class Stage:
 
 STAGES = (Stage(8.0, 8.0, 2), Stage(5.0, 8.0, 4), Stage(3.0, 20.0, 6))
 """From the first refinement to the last, which knows the curve to a pixel and follows the wire where it is faint."""
+MAX_BLOCKS = 150
+"""More blocks say nothing new: neighbours within a few dozen pixels share their error."""
 CANDIDATES = 4
 RIVAL_APART_PX = 3.0
 RIVAL_MIN_PX = 16
@@ -219,7 +221,8 @@ def _refine(
         curve = trace(view, float(theta[SAG]), float(theta[SWING]))
         if curve is None:
             return None
-        observed = observe(image, curve, stage.half_range_px, others, stage.block_px, stage.shifts)
+        block_px = max(stage.block_px, float(curve.arc[-1]) / MAX_BLOCKS)
+        observed = observe(image, curve, stage.half_range_px, others, block_px, stage.shifts)
         use = observed.usable
         if int(use.sum()) < 4:
             return None

@@ -11,14 +11,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import ArrayLike, NDArray
 
 from sagnode.capture.port import GreyImage
 from sagnode.geometry.camera import FloatArray
-from sagnode.match.ribbon import arc_length
+from sagnode.match.ribbon import arc_length, lookup
+
+AnyGrey = GreyImage | NDArray[np.float32]
 
 STEP_PX = 0.5
 """Sampling across the curve."""
@@ -26,7 +27,7 @@ BLUR_PX = 0.9
 """Standard deviation of lens, sensor and bilinear sampling together; 0.7 to 1.3 hardly matters."""
 MARGIN_PX = 3.0
 """Background that a kernel takes in on either side of the wire's blurred edge."""
-FLOOR_GREY = 0.35
+FLOOR_GREY = 0.2
 """Structure below this many grey levels is taken for 8-bit rounding: it cannot make a peak."""
 ROUNDING_GREY = 0.15
 """Least noise of a block's mean profile: 8-bit rounding, averaged along the block."""
@@ -143,12 +144,12 @@ def block_starts(arc: FloatArray, block_px: float) -> NDArray[np.intp]:
 
 
 def block_profiles(
-    image: GreyImage, pixels: FloatArray, normal: FloatArray, offsets: FloatArray, starts: NDArray[np.intp]
+    image: AnyGrey, pixels: FloatArray, normal: FloatArray, offsets: FloatArray, starts: NDArray[np.intp]
 ) -> tuple[FloatArray, NDArray[np.bool_]]:
     """Mean grey profiles of blocks across a curve, and which blocks lie wholly inside the frame.
 
     Args:
-        image: grey frame (height, width).
+        image: grey picture (height, width), 8 bit or single precision.
         pixels: the curve (N, 2).
         normal: its unit normals (N, 2).
         offsets: where to sample across it (K,), px, rising.
@@ -162,27 +163,13 @@ def block_profiles(
     with np.errstate(invalid="ignore"):
         inside = np.asarray(((ends >= 0) & (ends <= (width - 1, height - 1))).all(axis=(1, 2)))
     seen = np.minimum.reduceat(inside, starts)
-    if not inside.any():
-        return np.zeros((len(starts), len(offsets))), seen
-    corner = np.floor(ends[inside].min(axis=(0, 1))).astype(np.intp)
-    opposite = np.ceil(ends[inside].max(axis=(0, 1))).astype(np.intp) + 1
-    # single precision keeps what 8-bit interpolation would round away on a smooth sky
-    crop = image[corner[1] : opposite[1], corner[0] : opposite[0]].astype(np.float32)
-    local = np.where(inside[:, None], pixels - corner, 0.0).astype(np.float32)
-    turned = np.where(inside[:, None], normal, 0.0).astype(np.float32)
-    across = offsets.astype(np.float32)
-    grey = cv2.remap(
-        crop,
-        local[:, :1] + across * turned[:, :1],
-        local[:, 1:] + across * turned[:, 1:],
-        cv2.INTER_LINEAR,
-        borderMode=cv2.BORDER_REPLICATE,
-    )
+    # only the pixels that are needed, in single precision: 8-bit interpolation would round a faint wire away
+    grey = np.nan_to_num(lookup(image, pixels[:, None, :] + offsets[:, None] * normal[:, None, :]))
     size = np.diff(np.append(starts, len(pixels)))
     return np.add.reduceat(grey, starts, axis=0, dtype=np.float64) / size[:, None], seen
 
 
-def unit_kernels(width: FloatArray, positions: FloatArray, blur_px: float) -> FloatArray:
+def unit_kernels(width: FloatArray, positions: FloatArray, blur_px: float = BLUR_PX) -> FloatArray:
     """Wire profiles (M, n) without mean, of unit norm; symmetric, so they have no slope either."""
     kernel = wire_kernel(width, positions, blur_px)
     kernel -= kernel.mean(axis=1, keepdims=True)

@@ -36,7 +36,7 @@ def arc_length(pixels: FloatArray) -> FloatArray:
     return np.concatenate([[0.0], np.cumsum(steps)])
 
 
-def lookup(image: GreyImage, pixels: FloatArray) -> NDArray[np.float32]:
+def lookup(image: GreyImage | NDArray[np.float32], pixels: FloatArray) -> NDArray[np.float32]:
     """Bilinear grey values (...) at pixels (..., 2); NaN outside the frame or at NaN pixels."""
     height, width = image.shape
     u, v = pixels[..., 0], pixels[..., 1]
