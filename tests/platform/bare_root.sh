@@ -63,7 +63,7 @@ timed() {
 boot() {
 	[ -d "$ROOT-systemd" ] || {
 		cp -a --reflink=auto "$ROOT" "$ROOT-systemd"
-		IN=$ROOT-systemd in_root 'apt-get update -qq && DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends systemd systemd-sysv dbus >/dev/null'
+		IN=$ROOT-systemd in_root 'apt-get update -qq && DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends systemd systemd-sysv dbus procps >/dev/null'
 	}
 	rm -rf --one-file-system "$ROOT-systemd/home/sagnode-clone"
 	git clone --quiet "$HERE" "$ROOT-systemd/home/sagnode-clone"

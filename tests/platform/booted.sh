@@ -1,0 +1,133 @@
+#!/bin/bash
+# Runs inside a booted machine on which deploy/install.sh has installed sagnode (bare_root.sh ... boot): the service is
+# started, looked at, its worker and its daemon are killed and hung, and it is stopped. Prints BOOTED FINE at the end.
+set -euo pipefail
+ok() { printf 'ok    %s\n' "$*"; }
+fail() {
+	printf 'FAIL  %s\n' "$*"
+	systemctl status --no-pager --full sagnode || true
+	journalctl --no-pager -u sagnode -n 60 || true
+	exit 1
+}
+# until_true SECONDS WHAT COMMAND...
+until_true() {
+	local end=$((SECONDS + $1)) what=$2
+	shift 2
+	until "$@" >/dev/null 2>&1; do
+		[ $SECONDS -lt $end ] || fail "$what"
+		sleep 0.2
+	done
+	ok "$what"
+}
+main_pid() { systemctl show --value -p MainPID sagnode; }
+is_another() { [ "$(main_pid)" != "$1" ] && [ "$(main_pid)" != 0 ] && systemctl is-active --quiet sagnode; }
+worker_pid() { pgrep -P "$(main_pid)" | head -n 1; }
+other_worker() {
+	local pid
+	pid=$(worker_pid)
+	[ -n "$pid" ] && [ "$pid" != "$1" ]
+}
+
+readings_are_kept() { [ -n "$(find /var/lib/sagnode -name 'journal*' -size +0)" ]; }
+
+printf 'systemd %s, Python %s, up %s s\n' "$(systemctl --version | awk 'NR == 1 {print $2}')" \
+	"$(python3 -c 'import platform; print(platform.python_version())')" "$(cut -d' ' -f1 /proc/uptime)"
+[ "$(systemctl is-enabled sagnode)" = enabled ] || fail 'the service is not enabled'
+ok 'the service is enabled'
+
+# The example waits for a camera that is not here: grey pictures take its place. They show no conductor, so that every
+# reading is invalid with a reason, which is what is wanted of them.
+mkdir -p /etc/sagnode/frames
+/opt/sagnode/current/venv/bin/python - <<'P'
+import cv2, numpy as np
+for i in range(400):
+    picture = np.random.default_rng(i).integers(90, 160, (1088, 1456), np.uint8)
+    cv2.imwrite(f"/etc/sagnode/frames/{i:04d}.jpg", picture)
+P
+cat >/etc/sagnode/camera.yaml <<'C'
+image_width: 1456
+image_height: 1088
+camera_matrix: [[1739.0, 0, 728], [0, 1739.0, 544], [0, 0, 1]]
+D: [0, 0, 0, 0, 0]
+C
+cat >/etc/sagnode/node.toml <<'C'
+span_file = "span.toml"
+[unit]
+utility = "U"
+line = "L"
+span = "1-2"
+unit = "n1"
+[camera]
+backend = "replay"
+replay = { path = "frames", cadence_s = 1, start = "2026-06-21T12:00:00Z", at_end = "loop" }
+[schedule]
+interval_s = 1
+deadline_s = 20
+C
+cat >/etc/sagnode/span.toml <<'C'
+name = "1-2"
+[[conductors]]
+id = "A"
+near = [0.0, 0.0, 20.0]
+far = [0.0, 200.0, 20.0]
+diameter_m = 0.02
+sag_min_m = 1.0
+sag_max_m = 10.0
+[ground]
+profile = [[0.0, 0.0], [200.0, 0.0]]
+[camera]
+position = [3.0, 0.0, 15.0]
+azimuth_deg = 0
+elevation_deg = 0
+intrinsics = "camera.yaml"
+C
+sagnode config check --config /etc/sagnode || fail 'the configuration is refused'
+mkdir -p /run/systemd/system/sagnode.service.d
+printf '[Service]\nWatchdogSec=8\nRestartSec=1\n' >/run/systemd/system/sagnode.service.d/quick.conf
+systemctl daemon-reload
+
+systemctl restart sagnode || fail 'the service does not start'
+ok "the service is ready: $(systemctl show --value -p StatusText sagnode)"
+[ "$(ps -o user= -p "$(main_pid)")" = sagnode ] || fail 'the daemon does not run as sagnode'
+[ "$(stat -c %U /var/lib/sagnode)" = sagnode ] || fail 'the state directory is not its own'
+ok 'it runs as sagnode, with its own state directory'
+systemd-analyze security sagnode --no-pager | tail -n 1
+printf 'memory %s MB, tasks %s\n' "$(($(systemctl show --value -p MemoryCurrent sagnode | grep -x '[0-9]*' || echo 0) / 1000000))" \
+	"$(systemctl show --value -p TasksCurrent sagnode)"
+
+until_true 30 'readings reach the journal' readings_are_kept
+sleep 3
+
+before=$(main_pid)
+worker=$(worker_pid)
+[ -n "$worker" ] || fail 'no worker process'
+kill -9 "$worker"
+until_true 30 'a killed worker is replaced' other_worker "$worker"
+[ "$(main_pid)" = "$before" ] || fail 'the daemon ended with its worker'
+ok 'and the daemon lives on'
+
+kill -9 "$before"
+until_true 30 'a killed daemon is started again' is_another "$before"
+before=$(main_pid)
+kill -STOP "$before"
+until_true 60 'a hung daemon is ended by the watchdog and started again' is_another "$before"
+systemctl show -p Result -p NRestarts sagnode
+
+before=$(main_pid)
+systemctl reload sagnode || fail 'reload'
+sleep 2
+[ "$(main_pid)" = "$before" ] || fail 'a reload restarted the daemon'
+ok 'a reload keeps the daemon'
+began=$SECONDS
+systemctl stop sagnode
+[ "$(systemctl is-active sagnode)" = inactive ] || fail "after stop: $(systemctl is-active sagnode)"
+! pgrep -u sagnode >/dev/null || fail 'processes are left'
+ok "stopped within $((SECONDS - began)) s, nothing is left"
+
+printf 'nonsense = 1\n' >>/etc/sagnode/node.toml
+if systemctl restart sagnode 2>/dev/null; then fail 'a bad configuration was accepted'; fi
+sleep 3
+[ "$(systemctl show --value -p NRestarts sagnode)" = 0 ] || fail 'a bad configuration is tried again and again'
+journalctl --no-pager -o cat -u sagnode -n 6
+ok 'a bad configuration is refused once, with its fault'
+echo 'BOOTED FINE'
