@@ -37,8 +37,8 @@ class Broker:
         """Host and port, for messages."""
         return f"{self.host}:{self.port}"
 
-    def client(self, will_topic: str, will: bytes) -> mqtt.Client:
-        """A client that is not connected yet.
+    def client(self, will_topic: str | None, will: bytes) -> mqtt.Client:
+        """A client that is not connected yet, with a last will if it is given a topic.
 
         Raises:
             OSError: password or certificate files cannot be read; ssl.SSLError, a kind of it: they are not valid.
@@ -51,7 +51,8 @@ class Broker:
         )
         client.connect_timeout = CONNECT_TIMEOUT_S
         client.max_inflight_messages_set(0)  # the outbox counts
-        client.will_set(will_topic, will, qos=1, retain=True, properties=self.properties(PacketTypes.WILLMESSAGE))
+        if will_topic is not None:
+            client.will_set(will_topic, will, qos=1, retain=True, properties=self.properties(PacketTypes.WILLMESSAGE))
         if self.username is not None:
             client.username_pw_set(self.username, _first_line(self.password_file))
         if self.tls:

@@ -68,7 +68,7 @@ def _run_once(
     node = loaded.node
     state_dir = state_directory(node.storage.state_dir)
     schedule = Schedule(interval_s=node.schedule.interval_s, cron=node.schedule.cron)
-    prefix = _prefix(node) if node.mqtt else ""
+    prefix = topic_prefix(node) if node.mqtt else ""
     with _alone(state_dir):
         notifier.patience(120.0)
         journal = Journal(state_dir / "journal.sqlite")
@@ -208,11 +208,18 @@ def _link(mqtt: Mqtt, prefix: str, journal: Journal, schedule: Schedule, wording
     # A newest reading must not lapse before the next one can replace it.
     expiry_s = max(mqtt.expiry_s, 2 * gap_s if gap_s != float("inf") else 0.0)
     outbox = Outbox(journal, inflight=mqtt.inflight, backlog_per_s=mqtt.backlog_per_s, expiry_s=expiry_s, now=clock.now)
+    broker = configured_broker(mqtt, mqtt.client_id or f"sagnode-{wording.identity.unit}")
+    will = wording.status("offline", None, "connection lost")
+    return Link(Terms(broker, prefix, wording.online, will, expiry_s), outbox)
+
+
+def configured_broker(mqtt: Mqtt, client_id: str) -> Broker:
+    """The broker of a configuration's table [mqtt], for a client of this name."""
     tls = mqtt.tls
-    broker = Broker(
+    return Broker(
         host=mqtt.host,
         port=mqtt.port,
-        client_id=mqtt.client_id or f"sagnode-{wording.identity.unit}",
+        client_id=client_id,
         mqtt5=mqtt.protocol == "5",
         username=mqtt.username,
         password_file=mqtt.password_file,
@@ -222,12 +229,14 @@ def _link(mqtt: Mqtt, prefix: str, journal: Journal, schedule: Schedule, wording
         key_file=tls.key_file if tls else None,
         keepalive_s=mqtt.keepalive_s,
     )
-    will = wording.status("offline", None, "connection lost")
-    return Link(Terms(broker, prefix, wording.online, will, expiry_s), outbox)
 
 
-def _prefix(node: Node) -> str:
-    """The topic prefix with its places filled in."""
+def topic_prefix(node: Node) -> str:
+    """The topic prefix with its places filled in, without a slash at its end.
+
+    Raises:
+        ConfigError: mqtt.prefix is no template of a topic.
+    """
     assert node.mqtt is not None  # noqa: S101 - the caller has looked
     unit = node.unit
     template = node.mqtt.prefix
@@ -247,7 +256,7 @@ def _reload(loaded: LoadedNode) -> tuple[LoadedNode, str]:
         fresh = load_node(loaded.path)
         Schedule(interval_s=fresh.node.schedule.interval_s, cron=fresh.node.schedule.cron)
         if fresh.node.mqtt:
-            _prefix(fresh.node)
+            topic_prefix(fresh.node)
     except ConfigError as error:
         for fault in error.faults:
             log.error("reload refused: %s", fault)
