@@ -33,6 +33,7 @@ MAX_BLOCKS = 150
 CANDIDATES = 4
 RIVAL_APART_PX = 3.0
 RIVAL_MIN_PX = 16
+RIVAL_WORTH_A_LOOK = 0.6
 RIVAL_RESPONSE = 2.0
 """Mean response, in grey levels, below which a stretch of curve lies on nothing: texture gives less than half of it."""
 
@@ -115,7 +116,15 @@ def _find(image: GreyImage, conductor: SiteConductor, registered: Registered) ->
         results += filter(None, [_refine(image, conductor, registered, start, [], STAGES[:1])])
     results.sort(key=_merit, reverse=True)
     best = _refine(image, conductor, registered, results[0].solution.theta, [], STAGES[1:]) or results[0]
-    return replace(best, rival=max((_rivalry(image, best, r) for r in results[1:]), default=0.0))
+    rival = 0.0
+    for other in results[1:]:
+        if _rivalry(image, best, other) > RIVAL_WORTH_A_LOOK:
+            # it must stand its ground when it is looked at as closely
+            closer = _refine(image, conductor, registered, other.solution.theta, [], STAGES[1:])
+            if closer is not None and _merit(closer) > _merit(best):
+                best, closer = closer, best
+            rival = max(rival, 0.0 if closer is None else _rivalry(image, best, closer))
+    return replace(best, rival=rival)
 
 
 def _along_the_valley(image: GreyImage, found: Matched, conductor: SiteConductor) -> list[FloatArray]:
@@ -184,7 +193,8 @@ def _rivalry(image: GreyImage, best: Matched, other: Matched) -> float:
     if len(theirs) < RIVAL_MIN_PX or not np.isfinite(theirs).any() or np.nanmean(theirs) < RIVAL_RESPONSE:
         return 0.0
     own = float(np.nanmean(mine)) if np.isfinite(mine).any() else 0.0
-    return float(np.nanmean(theirs)) / max(own, 1e-3)
+    apart = float(np.nanmean(theirs)) / max(own, 1e-3)
+    return min(apart, _merit(other) / max(_merit(best), 1e-3))
 
 
 def _away_from(track: Track, other: Track) -> NDArray[np.bool_]:

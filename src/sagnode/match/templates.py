@@ -20,9 +20,14 @@ from sagnode.match.ribbon import SIDE_OFFSET_PX, normals, pair_response
 SAMPLES = 128
 STEP_PX = 1.6
 """Largest movement of any visible point of the curve from one template to the next; a wire's response is ±1 px wide."""
-MAX_TEMPLATES = 24_000
-POOL_PX = (-3.0, -1.5, 0.0, 1.5, 3.0)
-"""Offsets across the curve whose best response counts where the grid must be coarser than STEP_PX."""
+MAX_TEMPLATES = 5_000
+"""Beyond this the steps grow, and each sample is looked for in a band instead."""
+POOL_PX = 2.0
+"""Widest spacing of the five places across the curve whose best response counts where its place is uncertain."""
+SPREAD_PX = 4.0
+"""Uncertainty of a sample's place at which it counts half."""
+SWING_PRIOR = 0.3
+"""Grey levels of mean response that one half-squared standard deviation of swing must earn."""
 
 
 @dataclass(frozen=True)
@@ -91,7 +96,7 @@ def even_parameters(
     wanted = np.linspace(0.0, arc[-1], count)
     # arc is flat where the curve is hidden; keep its strictly rising part
     rising = np.concatenate([[True], np.diff(arc) > 0])
-    return np.interp(wanted, arc[rising], t[rising])
+    return np.asarray(np.interp(wanted, arc[rising], t[rising]))
 
 
 def _grid(low: float, high: float, step: float) -> FloatArray:
@@ -99,8 +104,8 @@ def _grid(low: float, high: float, step: float) -> FloatArray:
     return np.linspace(low, high, count)
 
 
-def _trust(view: View, sag: float, t: FloatArray, attachment_u: float) -> FloatArray:
-    """Weight (N,) of each sample: less where the attachments' uncertainty moves the curve by more than a pixel."""
+def _spread(view: View, sag: float, t: FloatArray, attachment_u: float) -> FloatArray:
+    """How far (N,) the attachments' uncertainty moves each sample across the curve, px (one standard deviation)."""
     base, _ = view.pixels(sag, 0.0, t)
     normal = normals(base)
     variance = np.zeros(len(t))
@@ -109,14 +114,17 @@ def _trust(view: View, sag: float, t: FloatArray, attachment_u: float) -> FloatA
         shift[k] = 1e-3
         moved, _ = replace(view, near=view.near + shift[:3], far=view.far + shift[3:]).pixels(sag, 0.0, t)
         variance += (np.sum((moved - base) * normal, axis=1) * attachment_u / 1e-3) ** 2
-    return np.asarray(1.0 / (1.0 + np.nan_to_num(variance, nan=1e6)))
+    return np.asarray(np.sqrt(np.nan_to_num(variance, nan=1e4)))
 
 
-def _sensitivity(view: View, sag: float, swing: float, t: FloatArray, trust: FloatArray) -> tuple[float, float]:
-    """Greatest movement of a trusted point across the curve, px per metre of sag and per radian of swing."""
+def _sensitivity(view: View, sag: float, swing: float, t: FloatArray, spread: FloatArray) -> tuple[float, float]:
+    """Greatest movement of a point across the curve, px per metre of sag and per radian of swing.
+
+    Points whose place is uncertain anyway are looked for in a band, and so need no finer steps than the band.
+    """
     base, _ = view.pixels(sag, swing, t)
     normal = normals(base)
-    weight = np.sqrt(trust / trust.max())
+    weight = 1.0 / (1.0 + np.minimum(spread, POOL_PX))
 
     def movement(other: FloatArray, step: float) -> float:
         moved = np.abs(np.sum((other - base) * normal, axis=1)) / step * weight
@@ -146,18 +154,18 @@ def search(
         sag_range: smallest and largest in-plane sag, m.
         swing_max: largest swing, rad; a view that cannot tell swing is searched at zero only.
         swing_u: standard uncertainty of the swing's prior, rad.
-        attachment_u: standard uncertainty of the attachments, m; samples that it moves by pixels count less.
+        attachment_u: standard uncertainty of the attachments, m; samples that it moves are looked for in a band.
         keep: most candidates.
     """
     middle = 0.5 * (sag_range[0] + sag_range[1])
     t = even_parameters(view, middle, 0.0, SAMPLES, span_share=0.5)
     if t.size < 2:
         return []
-    trust = _trust(view, middle, t, attachment_u)
-    per_sag, per_swing = _sensitivity(view, middle, 0.0, t, trust)
+    spread = _spread(view, middle, t, attachment_u)
+    per_sag, per_swing = _sensitivity(view, middle, 0.0, t, spread)
     if per_sag <= 0:
         return []
-    step, pooled = STEP_PX, False
+    step = STEP_PX
     # what a swing of one prior sigma does beyond what sag does decides whether swing is worth searching
     swing_needed = per_swing * swing_max > 2 * STEP_PX and swing_max > 0
 
@@ -167,22 +175,25 @@ def search(
         return n_sag, n_swing
 
     while np.prod(counts(step)) > MAX_TEMPLATES:
-        step, pooled = step * 1.25, True
+        step *= 1.25
+        spread = np.maximum(spread, 0.5 * step)
     n_sag, n_swing = counts(step)
     sags = np.linspace(*sag_range, max(2, n_sag))
     swings = np.linspace(-swing_max, swing_max, n_swing) if n_swing > 1 else np.zeros(1)
-    scores, visible = _scores(image, view, sags, swings, t, trust, pooled)
-    # the prior on swing breaks ties where the view hardly sees it, and no more
-    prior = 0.5 * (swings / swing_u) ** 2 * 0.05
+    scores, visible = _scores(image, view, sags, swings, t, spread)
+    # the prior on swing decides where the view hardly sees it, and keeps clutter at extreme swings in its place
+    prior = SWING_PRIOR * 0.5 * (swings / swing_u) ** 2
     ranked = scores - prior[None, :]
     ranked = np.where(visible >= 0.2 * visible.max(initial=0.0), ranked, -np.inf)
     return _peaks(ranked, scores, visible, sags, swings, keep)
 
 
 def _scores(
-    image: GreyImage, view: View, sags: FloatArray, swings: FloatArray, t: FloatArray, trust: FloatArray, pooled: bool
+    image: GreyImage, view: View, sags: FloatArray, swings: FloatArray, t: FloatArray, spread: FloatArray
 ) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
     """Mean response and visible share (S, W) of all templates."""
+    pool = np.minimum(spread, POOL_PX)
+    trust = 1.0 / (1.0 + (spread / SPREAD_PX) ** 2)
     scores = np.empty((len(sags), len(swings)), dtype=np.float32)
     visible = np.empty((len(sags), len(swings)))
     # in the camera's frame a curve is the chord plus its profile along one direction: both are made once
@@ -197,12 +208,10 @@ def _scores(
         pixels, depth = project_camera(view.intrinsics, camera.reshape(-1, len(t), 3))
         normal = normals(pixels)
         side = np.maximum(SIDE_OFFSET_PX, 0.5 * view.width_px(depth) + 1.5)[..., None] * normal
-        if pooled:
-            stack = np.stack([pair_response(image, pixels + k * normal, side) for k in POOL_PX])
-            filled = np.where(np.isnan(stack), -np.inf, stack).max(axis=0)
-            response = np.where(np.isfinite(filled), filled, np.nan)
-        else:
-            response = pair_response(image, pixels, side)
+        response = pair_response(image, pixels, side)
+        for k in (-2.0, -1.0, 1.0, 2.0) if pool.max() > 0.35 else ():
+            beside = pair_response(image, pixels + (k * pool)[:, None] * normal, side)
+            response = np.fmax(response, beside)
         seen = np.isfinite(response)
         count = seen @ trust
         total = np.where(seen, response, 0.0) @ trust
