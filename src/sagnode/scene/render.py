@@ -111,6 +111,7 @@ def _summary(how: Seen, moment: Moment) -> dict[str, float]:
 
     ``visible_share``: share of the span in the frame and behind nothing. ``resolved_share``: share of the span where
     the wire's contrast also reaches the noise of one pixel. ``contrast_grey``: median contrast over the visible span.
+    Rain streaks, drops on the lens and glare come after this and are not counted.
     """
     brightness, gain = exposure_and_gain(moment)
     if moment.lens in ("covered", "fogged") or how.share.size == 0:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from sagnode.geometry.camera import FloatArray
+from sagnode.geometry.camera import FloatArray, project
 from sagnode.scene.canvas import Canvas
 from sagnode.scene.noise import generator, sample, tile
 from sagnode.scene.spec import Scene, SpanFrame, Tree, ground_height
@@ -67,11 +67,12 @@ def draw_tree(canvas: Canvas, scene: Scene, frame: SpanFrame, tree: Tree, sunlig
         [[*(foot + k * half * sideways), base + z] for k in (-1.0, 1.0) for z in (-0.2, 1.1 * tree.height_m)]
     )
     pixels, depth = canvas.project(frame.to_site(corners))
-    # A tree that reaches beyond what the lens model covers is cut by its window only.
     if np.any(depth < 0.1):
         return
-    pixels = np.where(np.isfinite(pixels), pixels, -1e4)
-    where = canvas.window(np.clip(pixels, -200, 1e4), 3.0)
+    # Corners beyond what the lens model covers are far outside the frame: without distortion they are so as well.
+    bare, _ = project(canvas.intrinsics.without_distortion(), canvas.pose, frame.to_site(corners))
+    pixels = np.where(np.isfinite(pixels), pixels, np.clip(bare, -1e4, 1e4))
+    where = canvas.window(pixels, 3.0)
     if where is None:
         return
     direction = canvas.direction[where]
