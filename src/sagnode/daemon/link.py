@@ -61,7 +61,7 @@ class Link:
         """Send what is owed for so long, say goodbye and hang up; waits until that is done, a little longer at most."""
         self._mailbox.farewell = Farewell(time.monotonic() + drain_s, status)
         self._mailbox.nudge()
-        self._thread.join(drain_s + 2 * FAREWELL_S)
+        self._thread.join(drain_s + FAREWELL_S + 1.0)
         if self._thread.is_alive():
             log.warning("broker %s did not let go in time; left", self._terms.broker.address)
 

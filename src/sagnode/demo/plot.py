@@ -36,7 +36,7 @@ def plot_day(points: Sequence[Point], title: str, path: Path) -> None:
 
     conductors = sorted({point.reading.conductor for point in points})
     figure, axes = plt.subplots(
-        2, len(conductors), figsize=(4.6 * len(conductors) + 0.8, 6.6), sharex=True, sharey="row", squeeze=False
+        2, len(conductors), figsize=(4.6 * len(conductors) + 0.8, 6.6), sharex=True, squeeze=False
     )
     for column, conductor in enumerate(conductors):
         own = [point for point in points if point.reading.conductor == conductor]

@@ -1,0 +1,205 @@
+"""``sagnode status``: what it says, its exit code, and how fast it is."""
+
+import fcntl
+import json
+import re
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from sagnode.cli.main import main
+from sagnode.cli.status import examine
+
+BOOT = Path("/proc/sys/kernel/random/boot_id").read_text().strip()
+
+
+def reading(**fields):
+    values = {
+        f"{stem}_{part}": v for stem in ("sag", "clearance") for part, v in (("m", 8.0), ("lo", 7.9), ("hi", 8.1))
+    }
+    return {
+        "sequence": 7,
+        "acquired_at": "2026-06-01T12:00:00+00:00",
+        "recorded_monotonic_s": time.monotonic() - 125,
+        "validity": "good",
+        "reasons": [],
+        **values,
+        **fields,
+    }
+
+
+def page(state_dir, **fields):
+    health = {
+        "uptime_s": 90061.0,
+        "cpu_temperature_c": 48.3,
+        "throttled": False,
+        "memory_available_mb": 312.0,
+        "disk_free_mb": 8123.0,
+        "camera": "ok: picamera2",
+        "readings_made": 9,
+        "readings_invalid": 1,
+        "outbox_depth": 0,
+        "outbox_oldest_s": None,
+        "broker": "connected to broker.example:8883",
+        "journal": "ok",
+        "configuration": "ok",
+        **fields.pop("health", {}),
+    }
+    return {
+        "schema_version": "sagnode.status-file/1",
+        "state": "running",
+        "software_version": "0.1.0",
+        "unit": {"utility": "u", "line": "l", "span": "s", "unit": "n"},
+        "pid": 1,
+        "boot_id": BOOT,
+        "state_dir": str(state_dir),
+        "written_at": time.time(),
+        "written_monotonic_s": time.monotonic(),
+        "now": "2026-06-01T12:02:00+00:00",
+        "virtual_clock": False,
+        "clock": {"synced": True, "source": "kernel"},
+        "next_slot": "2026-06-01T12:15:00+00:00",
+        "gap_s": 900.0,
+        "deadline_s": 60.0,
+        "broker_connected": True,
+        "waiting_in_memory": 0,
+        "conductors": ["L1"],
+        "readings": {"L1": reading()},
+        "health": health,
+        **fields,
+    }
+
+
+@pytest.fixture
+def node(tmp_path):
+    """Write a status page while a daemon seems to hold the lock."""
+    held = (tmp_path / "lock").open("w")
+    fcntl.flock(held, fcntl.LOCK_EX)
+
+    def write(**fields):
+        (tmp_path / "status.json").write_text(json.dumps(page(tmp_path, **fields)))
+        return tmp_path
+
+    write.release = held.close
+    yield write
+    held.close()
+
+
+def test_all_is_well(node, capsys):
+    state = node()
+    assert main(["status", "--state-dir", str(state)]) == 0
+    said = capsys.readouterr().out
+    assert "u/l/s/n   running, up 1 d 1 h" in said
+    assert re.search(r"L1  sag 8\.00 \[7\.90 8\.10\] m  clearance 8\.00 .* good  2 min 5 s ago", said)
+    assert "broker    connected to broker.example:8883" in said
+    assert "8.1 GB free" in said
+    assert "48 °C" in said
+    assert "synchronised (says: kernel)" in said
+    assert said.splitlines()[-1] == "fine"
+
+
+@pytest.mark.parametrize(
+    ("fields", "problem"),
+    [
+        ({"readings": {}}, "L1: no reading since the start"),
+        (
+            {"readings": {"L1": reading(validity="invalid", sag_m=None, reasons=[{"cause": "dark", "text": "night"}])}},
+            "L1: last reading invalid (dark)",
+        ),
+        ({"readings": {"L1": reading(recorded_monotonic_s=time.monotonic() - 7200)}}, "L1: last reading is stale, 2 h"),
+        (
+            {"broker_connected": False, "health": {"broker": "b:1: connection refused"}},
+            "broker: b:1: connection refused",
+        ),
+        ({"waiting_in_memory": 3, "health": {"journal": "disk is full"}}, "journal: disk is full"),
+        ({"health": {"disk_free_mb": 12.0}}, "disk: only 12 MB free"),
+        ({"health": {"throttled": True}}, "throttled"),
+        ({"health": {"configuration": "reload refused"}}, "configuration: reload refused"),
+        ({"written_monotonic_s": time.monotonic() - 600}, "has not shown itself for 10 min"),
+    ],
+)
+def test_troubles_are_told_and_exit_with_one(node, capsys, fields, problem):
+    assert main(["status", "--state-dir", str(node(**fields))]) == 1
+    assert problem in capsys.readouterr().out
+
+
+def test_a_questionable_reading_is_shown_with_its_reason_and_is_no_trouble(node, capsys):
+    reasons = [{"cause": "uncertain", "text": "u is 0.3 m"}]
+    assert (
+        main(["status", "--state-dir", str(node(readings={"L1": reading(validity="questionable", reasons=reasons)}))])
+        == 0
+    )
+    assert "uncertain: u is 0.3 m" in capsys.readouterr().out
+
+
+def test_a_daemon_that_is_gone(node, capsys):
+    state = node()
+    node.release()
+    assert main(["status", "--state-dir", str(state)]) == 1
+    assert "not running (it ended without a word)" in capsys.readouterr().out
+
+
+def test_before_the_first_run_and_without_a_directory(tmp_path, capsys):
+    assert main(["status", "--state-dir", str(tmp_path)]) == 1
+    assert "no daemon has run" in capsys.readouterr().out
+    assert main(["status", "--state-dir", str(tmp_path / "nowhere")]) == 2
+    assert main(["status", "--config", str(tmp_path / "nowhere.toml")]) == 2
+
+
+def test_the_state_directory_of_a_configuration(node, tmp_path, capsys):
+    state = node()
+    (tmp_path / "node.toml").write_text(f"[storage]\nstate_dir = '{state.name}'\n")
+    (tmp_path / "up").mkdir()
+    config = tmp_path.parent / "node-of-status.toml"
+    config.write_text(f"broken = [1\n[storage]\nstate_dir = '{state.name}'\n")
+    assert main(["status", "--config", str(config)]) == 2
+    config.write_text(f"unknown_key = 1\n[storage]\nstate_dir = '{state.name}'\n")
+    assert main(["status", "--config", str(config)]) == 0, capsys.readouterr()
+
+
+def test_json_is_whole(node, capsys):
+    assert main(["status", "--json", "--state-dir", str(node())]) == 0
+    report = json.loads(capsys.readouterr().out)
+    assert report["verdict"] == "fine"
+    assert report["running"] is True
+    assert 120 < report["status"]["readings"]["L1"]["age_s"] < 140
+
+
+def test_a_damaged_page_and_a_damaged_journal_are_no_traceback(tmp_path, capsys):
+    (tmp_path / "status.json").write_text('{"half": ')
+    (tmp_path / "journal.sqlite").write_bytes(b"not a database" * 100)
+    assert main(["status", "--state-dir", str(tmp_path)]) == 1
+    assert examine(tmp_path)["status"] is None
+
+
+def test_without_a_page_the_journal_tells_the_last_readings(tmp_path, capsys):
+    sys.path.insert(0, str(Path(__file__).parents[1] / "daemon"))
+    from readings import fill
+
+    from sagnode.daemon.journal import Journal
+
+    journal = Journal(tmp_path / "journal.sqlite")
+    fill(journal, 2, ("L1", "L2"))
+    assert main(["status", "--state-dir", str(tmp_path)]) == 1
+    said = capsys.readouterr().out
+    assert "L2  sag 8.00" in said
+    assert "4 readings wait" in said
+
+
+def test_it_answers_at_once_and_imports_nothing_heavy(node):
+    state = node()
+    script = (
+        "import sys\nfrom sagnode.cli.main import main\n"
+        f"code = main(['status', '--state-dir', {str(state)!r}])\n"
+        "heavy = {'numpy', 'cv2', 'pydantic', 'paho', 'apscheduler'} & set(sys.modules)\n"
+        "sys.exit(code if not heavy else f'imported {heavy}')"
+    )
+    times = []
+    for _ in range(3):
+        before = time.monotonic()
+        subprocess.run([sys.executable, "-c", script], check=True, capture_output=True)
+        times.append(time.monotonic() - before)
+    assert min(times) < 0.5, times
