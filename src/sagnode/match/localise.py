@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import ArrayLike, NDArray
@@ -163,8 +164,15 @@ def block_profiles(
     with np.errstate(invalid="ignore"):
         inside = np.asarray(((ends >= 0) & (ends <= (width - 1, height - 1))).all(axis=(1, 2)))
     seen = np.minimum.reduceat(inside, starts)
-    # only the pixels that are needed, in single precision: 8-bit interpolation would round a faint wire away
-    grey = np.nan_to_num(lookup(image, pixels[:, None, :] + offsets[:, None] * normal[:, None, :]))
+    # in single precision either way: 8-bit interpolation would round a faint wire away
+    if image.dtype == np.float32:
+        across = offsets.astype(np.float32)
+        point, turned = (np.where(inside[:, None], part, 0.0).astype(np.float32) for part in (pixels, normal))
+        maps = [point[:, i : i + 1] + across * turned[:, i : i + 1] for i in (0, 1)]
+        grey = cv2.remap(image, maps[0], maps[1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    else:
+        # only the pixels that are needed, instead of the conversion of a whole frame
+        grey = np.nan_to_num(lookup(image, pixels[:, None, :] + offsets[:, None] * normal[:, None, :]))
     size = np.diff(np.append(starts, len(pixels)))
     return np.add.reduceat(grey, starts, axis=0, dtype=np.float64) / size[:, None], seen
 
