@@ -10,6 +10,7 @@ from pathlib import Path
 
 import cv2
 
+from paper import by_paper
 from sagnode.pipeline import load_site, measure_burst
 from sagnode.scene.render import render
 from sagnode.scene.spec import Moment
@@ -85,7 +86,10 @@ def _measure(
     image = render(setting.scene, moment).image
     true = setting.scene.true
     truth = {c.id: true_quantities(true, c, moment.wires[c.id]) for c in true.conductors if c.id in moment.wires}
+    measured = [(None, m) for m in measure_burst(site, [image])]
+    if task.group.paper and group is None:
+        measured += by_paper(setting.survey, image)
     return [
-        outcome(group or task.group.name, name, task.index, measured, {} if group else truth[measured.conductor])
-        for measured in measure_burst(site, [image])
+        outcome(group or task.group.name, name, task.index, m, {} if group else truth[m.conductor], label)
+        for label, m in measured
     ]

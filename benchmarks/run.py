@@ -15,8 +15,9 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from demo_day import PAPER_EVERY, frames_of_the_day, measure_by_paper, measure_day, timings
+from demo_day import PAPER_EVERY, frames_of_the_day, measure_day, measure_day_by_paper, time_of_a_frame
 from many_worlds import negative_tasks, positive_tasks, run
+from paper import Timing
 from report import demo_section, negatives_section, plot, worlds_section
 from tally import Outcome
 from worlds import GROUPS
@@ -30,13 +31,14 @@ def main() -> int:
     started = time.monotonic()
     frames = [] if options.no_day else frames_of_the_day()
     _say(started, f"demonstration's day: {len(frames)} frames")
-    own = measure_day(frames)
-    paper, timing = [], []
+    own = list(measure_day(frames))
+    paper: list[Outcome] = []
+    timing: list[Timing] = []
     if frames and not options.no_paper:
-        some = frames[::PAPER_EVERY]
+        some = frames[PAPER_EVERY // 2 :: PAPER_EVERY]
         _say(started, f"the paper's methods on {len(some)} of them")
-        paper = measure_by_paper(some)
-        timing = timings(frames[len(frames) // 2])
+        paper = list(measure_day_by_paper(some, options.jobs))
+        timing = time_of_a_frame(frames[len(frames) // 2])
     positive = _run_all(
         positive_tasks(options.worlds, options.seed, options.frames, options.views), options.jobs, started, "worlds"
     )

@@ -39,6 +39,8 @@ class Group:
     world: World = field(default_factory=World)
     outdoors: bool = True
     sway_px: float = 2.0
+    paper: bool = False
+    """Whether the paper's methods measure its frames too."""
 
     def survey(self, folder: Path) -> tuple[Span, World]:
         """The survey, its calibration file in place (in ``folder`` where a preset has none), and the world."""
@@ -67,8 +69,8 @@ GROUPS = (
         0.4,
     ),
     Group("side200", "from the side, 200 m off, where the wires are 0.12 px wide", "side200", 0.15),
-    Group("lab", "the paper's laboratory, frontal", "lab", 0.4, outdoors=False, sway_px=0.2),
-    Group("lab45", "the paper's laboratory at 45°", "lab45", 0.4, outdoors=False, sway_px=0.2),
+    Group("lab", "the paper's laboratory, frontal", "lab", 0.4, outdoors=False, sway_px=0.2, paper=True),
+    Group("lab45", "the paper's laboratory at 45°", "lab45", 0.4, outdoors=False, sway_px=0.2, paper=True),
 )
 
 

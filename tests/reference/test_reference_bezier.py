@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sagnode.reference.bezier import bezier_points, handle, lowest_point, stationary_parameters
+from sagnode.reference.bezier import bezier_points, fitted_handle, lowest_point, stationary_parameters
 
 pixel = st.tuples(st.floats(-500, 4500), st.floats(-500, 3500))
 
@@ -35,7 +35,17 @@ def test_a_curve_that_falls_all_the_way_is_lowest_at_its_end():
     assert lowest_point(np.array([[0.0, 0.0], [10.0, 10.0], [20.0, 40.0]])) == pytest.approx([20, 40])
 
 
-def test_end_tangents_meet_in_the_handle():
+def test_the_fitted_handle_gives_a_quadratic_curve_back():
     control = np.array([[0.0, 10.0], [70.0, 90.0], [200.0, -5.0]])
-    assert handle(control[0], control[1] - control[0], control[2], control[2] - control[1]) == pytest.approx(control[1])
-    assert handle(control[0], np.array([1.0, 0]), control[2], np.array([2.0, 0])) is None
+    # sampled so that equal steps are not equal parameters
+    curve = bezier_points(control, np.linspace(0, 1, 500) ** 2)
+    assert fitted_handle(curve) == pytest.approx(control[1], abs=0.05)
+
+
+def test_the_fitted_curve_stays_close_to_a_curve_in_strong_perspective():
+    s = np.linspace(0, 1, 2001)
+    # a strong perspective: depth grows tenfold along the curve
+    curve = np.stack([900 * s, 400 * s * (1 - s) + 100 * s], axis=1) / (1 + 9 * s)[:, None]
+    fitted = bezier_points(np.stack([curve[0], fitted_handle(curve), curve[-1]]), s)
+    nearest = np.min(np.hypot(*(curve[::10, None] - fitted[None, ::10]).transpose(2, 0, 1)), axis=1)
+    assert float(np.sqrt(np.mean(nearest**2))) < 6.0

@@ -49,14 +49,31 @@ def lowest_point(control: FloatArray) -> FloatArray:
     return np.asarray(max(candidates, key=lambda point: point[1]))
 
 
-def handle(start: FloatArray, start_tangent: FloatArray, end: FloatArray, end_tangent: FloatArray) -> FloatArray | None:
-    """P1 (2,) of the curve between two points (2,) with these directions (2,) there; None if they are parallel.
+def fitted_handle(curve: FloatArray, rounds: int = 12) -> FloatArray:
+    """P1 (2,) of the quadratic Bézier curve that lies closest to a curve (N, 2) and shares its end points.
 
-    The end tangents of a quadratic Bézier curve meet in its handle.
+    Gauss-Newton on the distances across the curve: points of the given curve are compared with the nearest of a dense
+    polyline, and only the part of their difference that is normal to it counts.
     """
-    system = np.stack([start_tangent, -end_tangent], axis=1)
-    scale = float(np.linalg.norm(start_tangent) * np.linalg.norm(end_tangent))
-    if abs(float(np.linalg.det(system))) < 1e-9 * max(scale, 1e-300):
-        return None
-    way = np.linalg.solve(system, end - start)
-    return np.asarray(start + way[0] * start_tangent)
+    arc = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(curve, axis=0).T))])
+    even = np.linspace(0.0, arc[-1], 41)
+    points = np.stack([np.interp(even, arc, curve[:, 0]), np.interp(even, arc, curve[:, 1])], axis=1)
+    start, end = points[0], points[-1]
+    t = np.linspace(0.0, 1.0, 241)
+    # twice the middle of the curve less the middle of the chord: B(1/2) halfway along the curve
+    middle = 2 * points[len(points) // 2] - 0.5 * (start + end)
+    reach = 0.25 * arc[-1]
+    for _ in range(rounds):
+        fitted = bezier_points(np.stack([start, middle, end]), t)
+        difference = points[:, None] - fitted[None]
+        nearest = np.argmin(np.sum(difference**2, axis=2), axis=1)
+        here = t[nearest]
+        slope = 2 * np.outer(1 - here, middle - start) + 2 * np.outer(here, end - middle)
+        normal = np.stack([-slope[:, 1], slope[:, 0]], axis=1)
+        normal = normal / np.maximum(np.hypot(*slope.T), 1e-12)[:, None]
+        gap = np.sum((points - fitted[nearest]) * normal, axis=1)
+        design = (2 * here * (1 - here))[:, None] * normal
+        # a little damping: along a straight curve P1 may slide freely
+        step = np.linalg.solve(design.T @ design + 1e-6 * np.eye(2), design.T @ gap)
+        middle = middle + step * min(1.0, reach / max(float(np.hypot(*step)), 1e-12))
+    return np.asarray(middle)

@@ -9,7 +9,7 @@ import numpy as np
 
 from sagnode.geometry.camera import FloatArray, Intrinsics, Pose, inside, project
 from sagnode.geometry.conductor import conductor_points, sag_profile
-from sagnode.reference.bezier import bezier_points, handle
+from sagnode.reference.bezier import bezier_points, fitted_handle
 from sagnode.reference.matching import Template
 
 _T = np.concatenate([np.linspace(0.0, 0.2, 1200, endpoint=False), np.linspace(0.2, 1.0, 1200)])
@@ -55,19 +55,15 @@ class Scene:
 def bezier_library(scene: Scene) -> Iterator[Template]:
     """Quadratic Bézier curves in the picture, their handle P1 varied, one for each sag.
 
-    P0 and P2 are the visible ends. How P1 moves the paper does not say: here it lies where the directions meet that the
-    conductor of that sag has at its visible ends, which in the frontal view moves it straight down below mid-span, and
-    in any other is the choice most favourable to a plain quadratic.
+    P0 and P2 are the visible ends. How P1 moves the paper does not say: here it lies where the curve comes closest to
+    the picture of a conductor of that sag. In the frontal view that moves it straight down below mid-span; in any other
+    it is the choice most favourable to a plain quadratic, which cannot follow perspective.
     """
     for sag in scene.sags:
         curve = scene.visible(scene.near, scene.far, float(sag))
-        if curve is None:
-            continue
-        middle = handle(curve[0], curve[1] - curve[0], curve[-1], curve[-1] - curve[-2])
-        if middle is None:
-            continue
-        control = np.stack([curve[0], middle, curve[-1]])
-        yield Template(bezier_points(control, _POINTS), control)
+        if curve is not None:
+            control = np.stack([curve[0], fitted_handle(curve), curve[-1]])
+            yield Template(bezier_points(control, _POINTS), control)
 
 
 def cosh_library(scene: Scene) -> Iterator[Template]:
