@@ -19,28 +19,33 @@ from sagnode.geometry.camera import FloatArray
 from sagnode.match.fit_curve import Curve, Prior, adjust
 from sagnode.match.localise import (
     STEP_PX,
-    block_profiles,
     block_starts,
-    compare,
     correlation,
     kernel_reach,
     unit_kernels,
 )
 from sagnode.match.ribbon import arc_length, normals
 
-WIDTHS = (1.5, 3.0, 6.0, 11.0)
-"""Widths of wires, cables and unresolved bundles that are looked for, px of the level."""
-BLOCK = 8.0
-RANGES: tuple[tuple[float, ...], ...] = ((6.0, 4.0, 3.0, 2.5), (4.0, 2.5, 2.5))
+KERNELS = ((1.5, 1.2), (1.5, 3.0), (3.0, 3.0), (6.0, 3.0), (11.0, 3.0))
+"""Widths of wires, cables and unresolved bundles that are looked for, with the background taken in on either side, px.
+
+The first sees a wire whose neighbour is only a few pixels away."""
+BLOCK = (8.0, 20.0)
+"""Least and greatest length of a block, px."""
+CHANGING = 0.5
+"""What a wire that may be dark here and bright there must bring more in each block: it has more chances."""
+RANGES: tuple[tuple[float, ...], ...] = ((10.0, 6.0, 5.0, 3.0, 2.5), (4.0, 2.5, 2.5))
 """Half ranges of the successive ribbons on the coarsest and on the finer levels, px of the level."""
+LEVEL_PX = 900.0
+"""Length of a chord on the coarsest level; longer ones are shrunk to it."""
 BOWS = 2
 """So many of the first ribbons of a level are searched for a parabola, the others for any smooth path."""
 BEND = 0.4
 """Typical difference of the offsets of neighbouring blocks, px of the level."""
 MOST = 6.0
 """Greatest evidence of one block."""
-SAMPLES = 8.0
-"""Independent samples in a window, for turning correlation into evidence."""
+SAMPLES_PER_PX = 0.8
+"""Independent samples per pixel across, for turning correlation into evidence."""
 
 
 @dataclass(frozen=True)
@@ -50,15 +55,14 @@ class Look:
     Attributes:
         fraction: arc fractions of the blocks (M,).
         offsets: across the curve (K,), px.
-        evidence: log-likelihood ratio of a wire against none, less the block's own background, for each width
-            (W, M, K); 0 outside the frame.
-        seen: blocks wholly inside the frame (M,).
+        signed: log-likelihood ratio of a wire against none for each kernel (W, M, K), negative for a dark wire.
+        inside: which places lie inside the frame (M, K); outside them ``signed`` is 0.
     """
 
     fraction: FloatArray
     offsets: FloatArray
-    evidence: FloatArray
-    seen: FloatArray
+    signed: FloatArray
+    inside: NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
@@ -74,7 +78,7 @@ def pyramid(image: GreyImage, curves: Sequence[Curve], coarsest: float) -> list[
     """Crops around the curves, shrunk by ``coarsest`` and then by less and less down to 1."""
     height, width = image.shape
     everything = np.concatenate([curve.evenly(33)[1] for curve in curves])
-    room = 20 * coarsest + 30
+    room = max(64.0, 20 * coarsest)
     low = np.clip(np.floor(everything.min(axis=0) - room), 0, (width - 2, height - 2)).astype(int)
     high = np.clip(np.ceil(everything.max(axis=0) + room), low + 2, (width, height)).astype(int)
     # single precision: rounding would wipe out a faint wire that shrinking has made fainter
@@ -91,57 +95,105 @@ def pyramid(image: GreyImage, curves: Sequence[Curve], coarsest: float) -> list[
     return pictures
 
 
-def look(image: NDArray[np.float32], curve: Curve, half_range: float, widths: Sequence[float] = WIDTHS) -> Look:
-    """Evidence for wires of several widths around a curve, one sample a pixel along it."""
-    count = max(16, int(curve.length()) + 1)
+def look(picture: NDArray[np.float32], curve: Curve, half_range: float) -> Look:
+    """How much the blocks of a ribbon around a curve, one sample a pixel along it, look like wires."""
+    length = curve.length()
+    count = max(16, int(length) + 1)
     _, pixels = curve.evenly(count)
-    arc = arc_length(pixels)
-    starts = block_starts(arc, BLOCK)
-    far = int(np.ceil(half_range / STEP_PX))
-    offsets = STEP_PX * np.arange(-far, far + 1)
-    evidence = np.zeros((len(widths), len(starts), len(offsets)))
-    reach = kernel_reach(max(widths))
-    across = STEP_PX * np.arange(-far - reach, far + reach + 1)
-    profiles, seen = block_profiles(image, pixels, normals(pixels), across, starts)
-    inside = seen.copy()
-    for layer, width in zip(evidence, widths, strict=True):
-        near = kernel_reach(width)
-        trimmed = profiles[:, reach - near : profiles.shape[1] - (reach - near)]
-        kernel = unit_kernels(np.full(1, width), STEP_PX * np.arange(-near, near + 1, dtype=np.float64))
-        kernels = np.broadcast_to(kernel, (len(starts), kernel.shape[1]))
-        amplitude, energy = compare(trimmed, kernels)
-        alike = correlation(amplitude, energy, kernel.shape[1])
-        likelihood = -0.5 * SAMPLES * np.log1p(-np.minimum(alike, 0.99) ** 2)
-        layer[:] = np.clip(likelihood - np.median(likelihood, axis=1, keepdims=True), -1.0, MOST)
-    evidence[:, ~inside] = 0.0
+    starts = block_starts(arc_length(pixels), block_length(length))
     size = np.diff(np.append(starts, count))
-    fraction = (starts + 0.5 * (size - 1)) / (count - 1)
-    return Look(fraction, offsets, evidence, inside)
+    far = int(np.ceil(half_range / STEP_PX))
+    offsets = STEP_PX * np.arange(-far, far + 1, dtype=np.float64)
+    room = max(kernel_reach(width, margin_px=margin) for width, margin in KERNELS)
+    across = STEP_PX * np.arange(-far - room, far + room + 1)
+    normal = normals(pixels)
+    maps = [(pixels[:, i : i + 1] + across * normal[:, i : i + 1]).astype(np.float32) for i in (0, 1)]
+    grey = cv2.remap(picture, maps[0], maps[1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    profiles = np.add.reduceat(grey, starts, axis=0, dtype=np.float64) / size[:, None]
+    centre = starts + size // 2
+    u, v = (part[centre][:, room:-room] for part in maps)
+    height, width_px = picture.shape
+    inside = (u >= 0.5) & (v >= 0.5) & (u <= width_px - 1.5) & (v <= height - 1.5)
+    signed = np.stack([_likelihood(profiles, width, margin)[:, room:-room] for width, margin in KERNELS])
+    signed[:, ~inside] = 0.0
+    return Look((starts + 0.5 * (size - 1)) / (count - 1), offsets, signed, inside)
 
 
-def best_bow(fraction: FloatArray, evidence: FloatArray, start_cost: FloatArray, end_cost: FloatArray) -> FloatArray:
-    """Columns (M,) of the parabola through evidence (M, K) that gathers most; costs (K,) as in :func:`best_path`.
+def block_length(length: float) -> float:
+    """Length of the blocks of a curve, px: enough of them to follow it, and long enough to average texture away."""
+    return float(np.clip(length / 60, *BLOCK))
+
+
+def _likelihood(profiles: FloatArray, width: float, margin: float) -> FloatArray:
+    """Signed log-likelihood ratios (M, K) of a wire of this width at every column; positive for a bright one.
+
+    From the correlation ρ of a window with the wire's profile: ``-n/2 ln(1-ρ²)`` for n independent samples.
+    """
+    near = kernel_reach(width, margin_px=margin)
+    n = 2 * near + 1
+    kernel = unit_kernels(np.full(1, width), STEP_PX * np.arange(-near, near + 1, dtype=np.float64))
+    slope = np.linspace(-1, 1, n)[None] / np.linalg.norm(np.linspace(-1, 1, n))
+    level = profiles - profiles.mean(axis=1, keepdims=True)
+    amplitude, mean, tilt = (_slide(level, taps) for taps in (kernel, np.full((1, n), 1 / n), slope))
+    energy = np.maximum(_slide(level * level, np.ones((1, n))) - n * mean**2 - tilt**2, 0.0)
+    alike = np.minimum(correlation(amplitude, energy, n), 0.99)
+    samples = SAMPLES_PER_PX * n * STEP_PX
+    return np.asarray(-0.5 * samples * np.sign(amplitude) * np.log1p(-(alike**2)))
+
+
+def _slide(profiles: FloatArray, taps: FloatArray) -> FloatArray:
+    return np.asarray(cv2.filter2D(profiles, cv2.CV_64F, taps, borderType=cv2.BORDER_REPLICATE))
+
+
+def polarities(signed: FloatArray, inside: NDArray[np.bool_]) -> list[FloatArray]:
+    """Evidence (M, K) for a dark wire, for a bright one, and for one that changes: the best width's, less background.
+
+    The background is the median strength of either sign in the block's own row: texture looks like wires everywhere.
+    """
+    background = np.stack([_row_median(np.abs(layer), inside) for layer in signed])[:, :, None]
+    bright = np.clip(signed - background, -1.0, MOST).max(axis=0)
+    dark = np.clip(-signed - background, -1.0, MOST).max(axis=0)
+    either = np.maximum(bright, dark) - CHANGING
+    return [np.where(inside, part, 0.0) for part in (dark, bright, either)]
+
+
+def _row_median(values: FloatArray, inside: NDArray[np.bool_]) -> FloatArray:
+    """Median of each row of values (M, K) over its cells inside the frame; 0 where there are none."""
+    kept = np.where(inside, values, np.nan)
+    kept[~inside.any(axis=1)] = 0.0
+    return np.asarray(np.nanmedian(kept, axis=1))
+
+
+def best_bow(
+    fraction: FloatArray, evidence: FloatArray, start_cost: FloatArray, end_cost: FloatArray
+) -> tuple[FloatArray, float]:
+    """Parabola through evidence (M, K) that gathers most: columns (M,) and total; costs (K,) as in :func:`best_path`.
 
     It sums over the whole length before it decides, so it finds wires that no single block shows.
     """
     blocks, columns = evidence.shape
-    wide = np.maximum(evidence, 0.5 * (np.roll(evidence, 1, axis=1) + np.roll(evidence, -1, axis=1)))
-    places = np.arange(0, columns, 2)
+    stride = 1 if columns < 24 else 3
+    wide = cv2.blur(evidence, (stride, 1), borderType=cv2.BORDER_REPLICATE)
+    places = np.arange(0, columns, stride)
     first, middle, last = (axis.ravel() for axis in np.meshgrid(places, places, places, indexing="ij"))
     u = fraction
     shape = np.stack([(1 - u) * (1 - 2 * u), 4 * u * (1 - u), u * (2 * u - 1)])
     column = np.rint(np.stack([first, middle, last], axis=1) @ shape).astype(np.intp)
     held = (column >= 0) & (column < columns)
     gathered = np.where(held, wide[np.arange(blocks), np.clip(column, 0, columns - 1)], 0.0).sum(axis=1)
-    best = int(np.argmax(gathered - start_cost[first] - end_cost[last]))
-    return np.clip(np.array([first[best], middle[best], last[best]]) @ shape, 0, columns - 1)
+    total = gathered - start_cost[first] - end_cost[last]
+    best = int(np.argmax(total))
+    return np.clip(np.array([first[best], middle[best], last[best]]) @ shape, 0, columns - 1), float(total[best])
 
 
-def best_path(evidence: FloatArray, start_cost: FloatArray, end_cost: FloatArray) -> tuple[FloatArray, float]:
+def best_path(
+    fraction: FloatArray, evidence: FloatArray, start_cost: FloatArray, end_cost: FloatArray
+) -> tuple[FloatArray, float]:
     """Most likely smooth path through evidence (M, K): column of each block (M,) and its total.
 
     Neighbouring blocks differ by some BEND; the costs (K,) are those of the first and the last block's offset.
     """
+    del fraction
     blocks, columns = evidence.shape
     reach = max(1, int(3 * BEND / STEP_PX))
     moves = np.arange(-reach, reach + 1)
@@ -166,7 +218,7 @@ def best_path(evidence: FloatArray, start_cost: FloatArray, end_cost: FloatArray
     return path.astype(np.float64), float(total.max())
 
 
-def follow(picture: Picture, curve: Curve, anchors: FloatArray, slack: float, level: int) -> Curve:
+def follow(picture: Picture, curve: Curve, anchors: FloatArray, slack: float, level: int) -> tuple[Curve, float]:
     """Move a curve (in pixels of the frame) onto the wire seen in one picture of the pyramid.
 
     Args:
@@ -175,19 +227,24 @@ def follow(picture: Picture, curve: Curve, anchors: FloatArray, slack: float, le
         anchors: the points given (2, 2), px of the frame.
         slack: their standard uncertainty, px of the frame.
         level: number of the picture in the pyramid, 0 the coarsest.
+
+    Returns:
+        The moved curve, and the mean evidence along the last path less what its ends cost.
     """
     here = curve.moved(picture.origin, picture.scale)
     given = (anchors - picture.origin) * picture.scale
     loose = max(slack * picture.scale, 0.7)
     prior = Prior(given, loose)
+    total, path = 0.0, np.zeros(1)
     for passed, half_range in enumerate(RANGES[min(level, 1)]):
         seen = look(picture.grey, here, half_range)
-        evidence = seen.evidence.max(axis=0)
         costs = [0.5 * ((seen.offsets - _anchor_offset(here, given, i)) / loose) ** 2 for i in (0, 1)]
-        if passed < BOWS - level:
-            path = best_bow(seen.fraction, evidence, costs[0], costs[1])
-        else:
-            path, _ = best_path(evidence, costs[0], costs[1])
+        find = best_bow if passed < BOWS - level else best_path
+        found = [
+            (*find(seen.fraction, evidence, costs[0], costs[1]), evidence)
+            for evidence in polarities(seen.signed, seen.inside)
+        ]
+        path, total, evidence = max(found, key=lambda one: one[1])
         rows = np.arange(len(path))
         nearest = np.rint(path).astype(np.intp)
         strength = np.maximum(evidence[rows, nearest], 0.0)
@@ -199,7 +256,7 @@ def follow(picture: Picture, curve: Curve, anchors: FloatArray, slack: float, le
             rest = offset - predicted
             precision = np.clip(strength / MOST, 0.0, 1.0) / 0.7**2 / (1 + (rest / 1.0) ** 2)
         here = moved
-    return here.moved(-picture.origin * picture.scale, 1 / picture.scale)
+    return here.moved(-picture.origin * picture.scale, 1 / picture.scale), total / len(path)
 
 
 def _anchor_offset(curve: Curve, anchors: FloatArray, end: int) -> float:

@@ -86,6 +86,7 @@ def localise(
     half_range_px: float,
     block_px: float = 8.0,
     blur_px: float = BLUR_PX,
+    margin_px: float = MARGIN_PX,
 ) -> Blocks:
     """Measure the wire's offset across a curve in blocks along it.
 
@@ -97,6 +98,7 @@ def localise(
         half_range_px: greatest offset looked for, either side.
         block_px: length of a block along the curve.
         blur_px: standard deviation of the picture's blur.
+        margin_px: background taken in on either side; less than MARGIN_PX where a neighbour is near.
 
     Returns:
         The blocks; empty arrays for fewer than two samples.
@@ -109,7 +111,7 @@ def localise(
     size = np.diff(np.append(starts, len(pixels)))
     widths = np.broadcast_to(np.asarray(width_px, dtype=np.float64), arc.shape)
     width = np.add.reduceat(widths, starts) / size
-    near = kernel_reach(float(np.max(width)), blur_px)
+    near = kernel_reach(float(np.max(width)), blur_px, margin_px)
     far = int(np.ceil(half_range_px / STEP_PX)) + 1
     profiles, seen = block_profiles(image, pixels, normal, STEP_PX * _steps(far + near), starts)
     kernel = unit_kernels(width, STEP_PX * _steps(near), blur_px)
@@ -132,9 +134,9 @@ def _steps(reach: int) -> FloatArray:
     return np.arange(-reach, reach + 1, dtype=np.float64)
 
 
-def kernel_reach(width_px: float, blur_px: float = BLUR_PX) -> int:
-    """Half length of the kernel of a wire, in steps across the curve."""
-    return int(np.ceil((0.5 * width_px + 1.5 * blur_px + MARGIN_PX) / STEP_PX))
+def kernel_reach(width_px: float, blur_px: float = BLUR_PX, margin_px: float = MARGIN_PX) -> int:
+    """Half length of the kernel of a wire with its background, in steps across the curve."""
+    return int(np.ceil((0.5 * width_px + 1.5 * blur_px + margin_px) / STEP_PX))
 
 
 def block_starts(arc: FloatArray, block_px: float) -> NDArray[np.intp]:
