@@ -9,13 +9,14 @@
 #   demo       make demo, twice
 #   rootless   make demo as a user without sudo and without python3-venv
 #   install    deploy/install.sh, again (an upgrade), --uninstall, --uninstall --purge
+#   picamera2  the picamera2 back end on the real Picamera2 and libcamera's virtual camera (trixie; +350 MB)
 #   boot       the same root booted with systemd: the service is started, looked at, killed, stopped
 set -euo pipefail
 HERE=$(cd "$(dirname "$0")/../.." && pwd)
 WORK=${WORK:-/var/tmp/sagnode-roots}
 suite=${1:-}
 case $suite in bookworm | trixie) ;; *)
-	sed -n '2,12s/^# \{0,1\}//p' "$0"
+	sed -n '2,13s/^# \{0,1\}//p' "$0"
 	exit 2
 	;;
 esac
@@ -25,13 +26,15 @@ MIRROR=$(awk '/^URIs:/ {print $2; exit}' /etc/apt/sources.list.d/debian.sources 
 MIRROR=${MIRROR:-http://deb.debian.org/debian}
 
 make_root() {
-	rm -rf --one-file-system "$ROOT" "$ROOT-systemd"
+	rm -rf --one-file-system "$ROOT" "$ROOT-systemd" "$ROOT-camera"
 	mkdir -p "$WORK"
 	mmdebstrap --quiet --variant=minbase --aptopt='Acquire::Languages "none"' --include=python3,git,make,ca-certificates \
 		--dpkgopt='path-exclude=/usr/share/doc/*' --dpkgopt='path-exclude=/usr/share/man/*' \
 		"$suite" "$ROOT" "deb $MIRROR $suite main" "deb $MIRROR-security $suite-security main"
 	# pip brings its own certificates; a site with its own authority has them in the system's bundle.
 	cp /etc/ssl/certs/ca-certificates.crt "$ROOT/etc/ssl/certs/"
+	# Every installed machine has this; a root that was unpacked has not.
+	printf '127.0.0.1 localhost\n::1 localhost\n' >"$ROOT/etc/hosts"
 	du -sm "$ROOT"
 }
 
@@ -80,6 +83,25 @@ boot() {
 	grep -q '^BOOTED FINE' "$ROOT-systemd/root/booted.log"
 }
 
+run_picamera2() {
+	[ "$suite" = trixie ] || {
+		echo "libcamera in $suite is too old for the virtual camera"
+		return 1
+	}
+	[ -d "$ROOT-camera" ] || {
+		cp -a --reflink=auto "$ROOT" "$ROOT-camera"
+		# python-prctl and the like, which picamera2 wants, are built from source.
+		IN=$ROOT-camera in_root 'apt-get update -qq && DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends \
+			python3-libcamera libcamera-ipa gcc libc6-dev python3-dev libcap-dev python3-numpy python3-venv >/dev/null
+			python3 -m venv --system-site-packages /opt/v
+			/opt/v/bin/pip install --quiet picamera2 "opencv-python-headless>=4.13,<5" pydantic PyYAML'
+	}
+	rm -rf --one-file-system "$ROOT-camera/home/sagnode-clone"
+	git clone --quiet "$HERE" "$ROOT-camera/home/sagnode-clone"
+	IN=$ROOT-camera in_root 'cd /home/sagnode-clone && PYTHONPATH=src LIBCAMERA_LOG_LEVELS="*:FATAL" timeout 120 \
+		/opt/v/bin/python tests/platform/picamera2_virtual.py'
+}
+
 for step in "$@"; do
 	case $step in
 	root) timed 'bare root' make_root ;;
@@ -105,6 +127,7 @@ for step in "$@"; do
 		timed 'uninstall' in_root 'bash /home/sagnode-clone/deploy/install.sh --uninstall && ls /etc/sagnode && ! ls /opt/sagnode 2>/dev/null && ! command -v sagnode'
 		timed 'purge' in_root 'bash /home/sagnode-clone/deploy/install.sh --uninstall --purge && ! ls -d /etc/sagnode /var/lib/sagnode 2>/dev/null && ! id sagnode 2>/dev/null'
 		;;
+	picamera2) timed 'picamera2 on a virtual camera' run_picamera2 ;;
 	boot) timed 'booted with systemd' boot ;;
 	*)
 		echo "unknown step $step" >&2

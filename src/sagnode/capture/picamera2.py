@@ -240,7 +240,8 @@ class Picamera(FrameSource):
         try:
             return self._calls.call(function, timeout_s)
         except TimeoutError:
-            raise FrameError(f"{self._name} gives no frame or answer within {timeout_s:.3g} s", _CABLE) from None
+            what = f"{self._name} gives no frame or answer in time (timeout_s = {self._config.timeout_s:g})"
+            raise FrameError(what, _CABLE) from None
         except _DRIVER_FAULTS as error:
             said = str(error).strip() or type(error).__name__
             cause = f" ({error.__cause__})" if error.__cause__ else ""

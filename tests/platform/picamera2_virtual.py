@@ -1,0 +1,185 @@
+"""Runs the picamera2 back end on the real Picamera2 and libcamera, whose "virtual" pipeline plays picture files.
+
+Needs libcamera 0.4 or later with that pipeline (Debian 13: python3-libcamera, libcamera-ipa) and picamera2; run by
+``bare_root.sh trixie picamera2``, not by make test. Picamera2 itself is not changed; what the virtual pipeline and a
+kernel without /dev/dma_heap lack is put underneath it by :func:`prepare`. Not to be had this way: other formats than
+NV12, exposure, gain and focus, and the Raspberry Pi's own image processor.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import time
+import types
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+WIDTH, HEIGHT, PICTURES = 640, 480, 5
+CONFIGURATION = Path("/usr/share/libcamera/pipeline/virtual/virtual.yaml")
+STALLED = Path("/tmp/virtual-camera-stalled")  # noqa: S108 - a switch inside a throw-away root
+PERIOD_S = 1 / 30
+REPEATS = 4  # the virtual pipeline shows each picture file four times over
+
+
+def write_camera(folder: Path) -> None:
+    """Pictures of distinct brightness, and the camera that plays them."""
+    import cv2
+    import numpy as np
+
+    folder.mkdir(parents=True, exist_ok=True)
+    for i in range(PICTURES):
+        noise = np.random.default_rng(i).integers(0, 20, (HEIGHT, WIDTH, 3), np.uint8)
+        cv2.imwrite(str(folder / f"{i}.jpg"), noise + np.uint8(40 * i + 20))
+    CONFIGURATION.parent.mkdir(parents=True, exist_ok=True)
+    CONFIGURATION.write_text(
+        f'%YAML 1.1\n---\n"Virtual0":\n  supported_formats:\n  - width: {WIDTH}\n    height: {HEIGHT}\n'
+        f'  frames:\n    path: "{folder}/"\n  model: "pictures"\n'
+    )
+
+
+def prepare() -> None:
+    """Close four gaps below Picamera2; import nothing of it before."""
+    import libcamera
+
+    # Its preview for a screen, which a daemon never opens, is imported all the same.
+    screen = types.ModuleType("pykms")
+    screen.PixelFormat = type("PixelFormat", (), {"__getattr__": lambda _, name: name})()  # type: ignore[attr-defined]
+    sys.modules.setdefault("pykms", screen)
+
+    # Picamera2 asks for a raw stream when it opens a camera; the virtual pipeline knows viewfinders alone.
+    generate = libcamera.Camera.generate_configuration
+    raw, view = libcamera.StreamRole.Raw, libcamera.StreamRole.Viewfinder
+    libcamera.Camera.generate_configuration = lambda camera, roles: generate(
+        camera, [view if role == raw else role for role in roles]
+    )
+
+    # libcamera 0.4 leaves the status of virtual frames to chance, and Picamera2 drops what is not Success.
+    if libcamera.CameraManager.singleton().version.startswith("v0.4"):
+        libcamera.FrameMetadata.status = property(lambda _: libcamera.FrameMetadata.Status.Success)
+
+    # The pipeline runs as fast as it is asked; a real sensor has a period, and a broken one gives nothing at all.
+    queue_request, last = libcamera.Camera.queue_request, [0.0]
+
+    def paced(camera: Any, request: Any) -> Any:
+        if STALLED.exists():
+            return None
+        time.sleep(max(0.0, last[0] + PERIOD_S - time.monotonic()))
+        last[0] = time.monotonic()
+        return queue_request(camera, request)
+
+    libcamera.Camera.queue_request = paced
+
+    # It writes luma and chroma into two planes, where Picamera2 makes buffers of one.
+    whole = libcamera.FrameBuffer
+
+    class TwoPlanes(whole):  # type: ignore[misc,valid-type]
+        def __init__(self, planes: list[Any]) -> None:
+            if len(planes) == 1:
+                luma, chroma = planes[0], whole.Plane()
+                size = luma.length * 2 // 3
+                chroma.fd, chroma.offset, chroma.length = luma.fd, luma.offset + size, luma.length - size
+                luma.length = size
+                planes = [luma, chroma]
+            super().__init__(planes)
+
+    libcamera.FrameBuffer = TwoPlanes
+    if not Path("/dev/dma_heap/linux,cma").exists():
+        _buffers_without_dma_heap()
+
+
+def _buffers_without_dma_heap() -> None:
+    """Plain shared memory in the place of DMA buffers, for kernels that have none."""
+    import picamera2.allocators.dmaallocator as allocator
+    from picamera2.dma_heap import UniqueFD
+
+    class Heap:
+        isValid = True  # noqa: N815 - Picamera2's name
+
+        def alloc(self, name: str, size: int) -> UniqueFD:
+            handle = os.memfd_create(name)
+            os.ftruncate(handle, size)
+            return UniqueFD(handle)
+
+        def close(self) -> None:
+            pass
+
+    allocator.DmaHeap = Heap
+    # Caches need no synchronising where no device writes.
+    allocator.fcntl = types.SimpleNamespace(ioctl=lambda *_: 0)
+
+
+def main() -> int:
+    """Frames, their times, a stall, a reopening; prints PICAMERA2 FINE."""
+    write_camera(Path("/opt/virtual-frames"))
+    STALLED.unlink(missing_ok=True)
+    prepare()
+    from sagnode.capture.picamera2 import Picamera
+    from sagnode.config.node import Picamera2Source
+    from sagnode.errors import FrameError
+    from sagnode.quality import Cause
+
+    config = {"width": WIDTH, "height": HEIGHT, "timeout_s": 2.0, "warmup_frames": 3}
+    source = Picamera(Picamera2Source.model_validate(config))
+    began = time.monotonic()
+    source.open()
+    print(f"opened in {time.monotonic() - began:.2f} s: {source.describe()}")
+    assert source.describe().endswith("640x480 NV12"), "the format that libcamera adjusted to"
+
+    apart_s = (REPEATS + 0.5) * PERIOD_S
+    frames = source.burst(15, apart_s)
+    levels = sorted({round(float(frame.image.mean()) / 40) for frame in frames})
+    gaps = [b.monotonic_s - a.monotonic_s for a, b in pairwise(frames)]
+    print(f"15 frames {frames[0].image.shape}, brightness steps {levels}, {min(gaps):.3f} to {max(gaps):.3f} s apart")
+    print(f"metadata: {dict(frames[-1].metadata)}")
+    assert len(levels) >= PICTURES - 1, "the picture files are seen"
+    assert min(gaps) >= apart_s - PERIOD_S
+    assert time.monotonic() - frames[-1].monotonic_s < 1, "sensor times are of this clock"
+
+    time.sleep(1.5)
+    asked = time.monotonic()
+    fresh = source.burst(1, 0.0)[0]
+    assert fresh.monotonic_s >= asked, "a frame that waited in the queue is not taken for a new one"
+    try:
+        source.burst(2 * REPEATS, 0.0)
+        raise AssertionError("the same picture twice was accepted")
+    except FrameError as error:
+        print(f"repeated: {error}")
+        assert error.cause is Cause.STALE_FRAME, error.cause
+
+    STALLED.touch()
+    began = time.monotonic()
+    try:
+        while time.monotonic() - began < 30:
+            source.burst(1, 0.0)
+            time.sleep(apart_s)
+        raise AssertionError("a stalled camera still gave frames")
+    except FrameError as error:
+        print(f"stalled: told and closed after {time.monotonic() - began:.2f} s: {error}")
+        assert error.cause is Cause.CAMERA_FAULT, error.cause
+    STALLED.unlink()
+    for _ in range(3):
+        began = time.monotonic()
+        source.open()
+        assert len(source.burst(2, apart_s)) == 2
+        print(f"reopened, two frames after {time.monotonic() - began:.2f} s")
+        source.close()
+
+    for wrong, says in [
+        ({"width": 1456, "height": 1088}, "not 1456x1088"),
+        ({"camera": 5}, "camera"),
+        ({"gain": 2}, "gain"),
+    ]:
+        try:
+            Picamera(Picamera2Source.model_validate(config | wrong)).open()
+            raise AssertionError(f"{wrong} was accepted")
+        except FrameError as error:
+            print(f"refused: {error}")
+            assert says in str(error)
+    print("PICAMERA2 FINE")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
