@@ -63,6 +63,7 @@ def demonstrate(config: Path, out: Path, prefer_broker: str | None = None) -> in
     site = load_node(config)
     if site.node.camera.replay is None or site.node.camera.backend != "replay":
         raise ConfigError(f"{config}: the demonstration replays frames", 'set camera.backend = "replay"')
+    _check_frames(site)
     out = out.absolute()
     try:
         out.mkdir(parents=True, exist_ok=True)
@@ -84,6 +85,21 @@ def demonstrate(config: Path, out: Path, prefer_broker: str | None = None) -> in
     for line in ("", *_pictures(loaded, outcome.points, out)):
         print(line)
     return 1 if outcome.failed else 0
+
+
+def _check_frames(site: LoadedNode) -> None:
+    """A daemon would wait for frames that may still come; a demonstration must not.
+
+    Raises:
+        FrameError: there are none.
+    """
+    from sagnode.capture import open_source
+
+    source = open_source(site.node.camera)
+    try:
+        source.open()
+    finally:
+        source.close()
 
 
 def _write_node(site: LoadedNode, out: Path, broker: EmbeddedBroker | None) -> LoadedNode:
