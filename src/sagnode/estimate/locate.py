@@ -19,14 +19,17 @@ from sagnode.site import Site, SiteConductor
 
 @dataclass(frozen=True)
 class Stage:
-    """One refinement: how far across the curve to look, length of a block, shifted curves that a block must beat."""
+    """One refinement: how far across the curve to look, how long blocks are, and which blocks count."""
 
     half_range_px: float
     block_px: float
     shifts: int
+    """Shifted curves that a block is ranked against."""
+    run: int
+    """Least number of blocks in a row: long runs are the clear part of a wire, chance does not make them."""
 
 
-STAGES = (Stage(8.0, 8.0, 2), Stage(5.0, 8.0, 4), Stage(3.0, 20.0, 6))
+STAGES = (Stage(8.0, 8.0, 2, 6), Stage(5.0, 8.0, 6, 1), Stage(3.0, 20.0, 12, 1))
 """From the first refinement to the last, which knows the curve to a pixel and follows the wire where it is faint."""
 MAX_BLOCKS = 150
 """More blocks say nothing new: neighbours within a few dozen pixels share their error."""
@@ -112,19 +115,16 @@ def _find(image: GreyImage, conductor: SiteConductor, registered: Registered) ->
         results += filter(None, [_refine(image, conductor, registered, start, [], STAGES[:1])])
     if not results:
         return None
-    for start in _along_the_valley(image, max(results, key=_merit), conductor):
-        results += filter(None, [_refine(image, conductor, registered, start, [], STAGES[:1])])
     results.sort(key=_merit, reverse=True)
-    best = _refine(image, conductor, registered, results[0].solution.theta, [], STAGES[1:]) or results[0]
-    rival = 0.0
-    for other in results[1:]:
-        if _rivalry(image, best, other) > RIVAL_WORTH_A_LOOK:
-            # it must stand its ground when it is looked at as closely
-            closer = _refine(image, conductor, registered, other.solution.theta, [], STAGES[1:])
-            if closer is not None and _merit(closer) > _merit(best):
-                best, closer = closer, best
-            rival = max(rival, 0.0 if closer is None else _rivalry(image, best, closer))
-    return replace(best, rival=rival)
+    # what is left open by the clear part of the best one, and other candidates that are nearly as good
+    starts = [results[0].solution.theta, *_along_the_valley(image, results[0], conductor)]
+    starts += [r.solution.theta for r in results[1:] if _rivalry(image, results[0], r) > RIVAL_WORTH_A_LOOK]
+    refined = [_refine(image, conductor, registered, start, [], STAGES[1:]) for start in starts]
+    finals = sorted(filter(None, refined), key=_merit, reverse=True)
+    if not finals:
+        return None
+    rival = max((_rivalry(image, finals[0], other) for other in finals[1:]), default=0.0)
+    return replace(finals[0], rival=rival)
 
 
 def _along_the_valley(image: GreyImage, found: Matched, conductor: SiteConductor) -> list[FloatArray]:
@@ -232,7 +232,7 @@ def _refine(
         if curve is None:
             return None
         block_px = max(stage.block_px, float(curve.arc[-1]) / MAX_BLOCKS)
-        observed = observe(image, curve, stage.half_range_px, others, block_px, stage.shifts)
+        observed = observe(image, curve, stage.half_range_px, others, block_px, stage.shifts, stage.run)
         use = observed.usable
         if int(use.sum()) < 4:
             return None

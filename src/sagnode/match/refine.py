@@ -10,18 +10,19 @@ from numpy.typing import NDArray
 from sagnode.capture.port import GreyImage
 from sagnode.geometry.camera import FloatArray
 from sagnode.match.localise import Blocks, localise
-from sagnode.match.ribbon import SIDE_OFFSET_PX, arc_length, normals, pair_response
+from sagnode.match.ribbon import SIDE_OFFSET_PX, arc_length, lookup, normals, pair_response
 from sagnode.match.templates import View, even_parameters
 
 WINDOW_PX = 24.0
 WINDOW_SHARE = 0.04
 WINDOW_RANK = 0.95
 """A window is seen when it responds more strongly than 95 % of the shifted curves there: by chance one in twenty."""
-SHIFTS_PX = (16.0, -16.0, 23.0, -23.0, 31.0, -31.0)
+SHIFTS_PX = (16.0, -16.0, 23.0, -23.0, 31.0, -31.0, 11.0, -11.0, 37.0, -37.0, 44.0, -44.0)
 """Where the same curve is laid beside the wire to learn what the background alone looks like."""
+FALSE_PEAK_POWER = 6.0
 MAX_SAMPLES = 6000
 MIN_LENGTH_PX = 16
-RANK_MIN = 0.8
+RANK_MIN = 0.9
 NEIGHBOURS = 3
 """A block counts only if at least this many of the three blocks to either side see the wire where it would run on.
 
@@ -63,7 +64,7 @@ class Observed:
         pixel: its pixel on the curve (M, 2).
         normal: unit normal there (M, 2).
         offset: of the wire along the normal, px (M,).
-        sigma: white standard uncertainty of the offset, px (M,).
+        sigma: standard uncertainty of the offset, px (M,): noise, and the chance that it is not the wire.
         rank: share of shifted curves that look less like a wire here (M,), 0..1.
         usable: blocks inside the frame, ranked above the background, not near another wire (M,).
         masked: blocks left out because another wire runs there (M,).
@@ -99,7 +100,7 @@ def trace(view: View, sag: float, swing: float, margin: float = 3.0) -> Track | 
 
 
 def observe(
-    image: GreyImage, track: Track, half_range: float, others: list[FloatArray], block_px: float, shifts: int
+    image: GreyImage, track: Track, half_range: float, others: list[FloatArray], block_px: float, shifts: int, run: int
 ) -> Observed:
     """Measure the wire's offset in every block of a track.
 
@@ -110,9 +111,10 @@ def observe(
         others: polylines (K, 2) of other known wires; blocks that could see them are masked.
         block_px: length of a block; long blocks see fainter wires once the curve is nearly right.
         shifts: how many shifted curves a block is ranked against, nearest first.
+        run: least number of usable blocks in a row.
     """
     blocks = localise(image, track.pixels, track.normal, track.width, half_range, block_px)
-    rank = _rank(image, track, blocks, half_range, block_px, SHIFTS_PX[:shifts])
+    rank, lead = _rank(image, track, blocks, half_range, block_px, SHIFTS_PX[:shifts])
     index = np.clip(np.round(blocks.index).astype(np.intp), 0, len(track.t) - 1)
     pixel, normal = track.pixels[index], track.normal[index]
     reach = half_range + 3.0 + 0.5 * float(np.median(track.width))
@@ -121,6 +123,7 @@ def observe(
         masked |= _near(pixel, normal, other, reach)
     usable = blocks.valid & (rank >= RANK_MIN) & ~masked
     usable &= _neighbours_agree(blocks, usable)
+    usable &= _in_runs(usable, run)
     return Observed(
         track,
         track.t[index],
@@ -128,11 +131,24 @@ def observe(
         pixel,
         normal,
         np.nan_to_num(blocks.offset),
-        np.nan_to_num(blocks.sigma, nan=1e3),
+        np.hypot(np.nan_to_num(blocks.sigma, nan=1e3), _false_peak_sigma(lead, half_range)),
         rank,
         usable,
         masked,
     )
+
+
+def _in_runs(usable: NDArray[np.bool_], least: int) -> NDArray[np.bool_]:
+    """Usable blocks (M,) in stretches of at least ``least`` of them, a single block missing here or there."""
+    if least <= 1:
+        return usable
+    closed = usable | (np.roll(usable, 1) & np.roll(usable, -1))
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], closed, [False]]).astype(int)))
+    result = np.zeros_like(usable)
+    for start, end in zip(edges[::2], edges[1::2], strict=True):
+        if int(usable[start:end].sum()) >= least:
+            result[start:end] = usable[start:end]
+    return result
 
 
 def _neighbours_agree(blocks: Blocks, usable: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -155,21 +171,35 @@ def _neighbours_agree(blocks: Blocks, usable: NDArray[np.bool_]) -> NDArray[np.b
 
 def _rank(
     image: GreyImage, track: Track, blocks: Blocks, half_range: float, block_px: float, shifts: tuple[float, ...]
-) -> FloatArray:
-    """Share of the shifted curves on which the same place looks less like a wire (M,).
+) -> tuple[FloatArray, FloatArray]:
+    """Share of the shifted curves on which the same place looks less like a wire (M,), and by how much it leads (M,).
 
-    A place is a block and its two neighbours: a faint wire goes on through all three, a speck of texture does not.
+    A place is a block and its two neighbours: a faint wire goes on through all three, a speck of texture does not. The
+    lead is its signal-to-noise ratio over the second best of the shifted curves (the best may be another wire).
     """
     here = _with_neighbours(blocks)
-    beaten = np.zeros(len(here))
-    for shift in shifts:
+    index = np.clip(np.round(blocks.index).astype(np.intp), 0, len(track.t) - 1)
+    beside = np.empty((len(shifts), len(here)))
+    for row, shift in enumerate(shifts):
         away = np.sign(shift) * (abs(shift) + half_range)
         aside = localise(image, track.pixels + away * track.normal, track.normal, track.width, half_range, block_px)
         # the shifted curve is a little longer or shorter, so its blocks are met by their sample, not by their number
         same = np.abs(aside.index[None, :] - blocks.index[:, None]).argmin(axis=1)
         # a block that leaves the frame when shifted proves nothing, for or against
-        beaten += np.where(aside.valid[same], here > _with_neighbours(aside)[same], 0.5)
-    return beaten / len(shifts)
+        inside = np.isfinite(lookup(image, track.pixels[index] + away * track.normal[index]))
+        beside[row] = np.where(inside, _with_neighbours(aside)[same], here)
+    rank = np.mean(np.where(beside == here, 0.5, beside < here), axis=0)
+    return rank, here / np.maximum(np.sort(beside, axis=0)[-2], 1.0)
+
+
+def _false_peak_sigma(lead: FloatArray, half_range: float) -> FloatArray:
+    """Standard deviation (M,) that the chance of having taken texture for the wire adds to an offset, px.
+
+    A block that leads the background by nothing is as likely texture as wire, and texture's offset is anywhere within
+    the range; the chance falls steeply with the lead.
+    """
+    chance = 0.5 * np.maximum(lead, 1.0) ** -FALSE_PEAK_POWER
+    return np.asarray(half_range * np.sqrt(chance / 3.0))
 
 
 def _with_neighbours(blocks: Blocks) -> FloatArray:
