@@ -46,6 +46,8 @@ LANDMARK_KINDS: dict[str, LandmarkKind] = {
     "pole-right": "pole",
 }
 """What the landmarks are; the others are survey targets."""
+WORLD = World(landmark_kinds=LANDMARK_KINDS, forest_m=13.0, horizon_m=335.0, opening=0.085)
+"""Behind tower 2 a wood, before which the lower conductors are seen; the upper one is seen before hills and sky."""
 
 PLAN = DayPlan(
     spells=(
@@ -91,7 +93,7 @@ def demo_site(directory: Path | None = None) -> Site:
     rng = generator(WORLD_SEED, "errors")
     true = perturbed(surveyed, rng)
     lens = perturbed_intrinsics(stated, surveyed, rng)
-    scene = Scene(surveyed, true, lens, World(landmark_kinds=LANDMARK_KINDS), seed=WORLD_SEED)
+    scene = Scene(surveyed, true, lens, WORLD, seed=WORLD_SEED)
     times = [FIRST + k * STEP for k in range(FRAMES)]
     return Site(scene, _reference(scene), tuple(day_of_moments(true, PLAN, times, DAY_SEED)))
 

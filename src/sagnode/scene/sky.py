@@ -49,7 +49,7 @@ def paint_sky(canvas: Canvas, scene: Scene, moment: Moment) -> None:
 def paint_horizon(canvas: Canvas, scene: Scene) -> None:
     """Paint hills far away and the forest edge, as cylinders about the camera's place."""
     world = scene.world
-    layers: list[tuple[str, float, float, float, float]] = [("hills", 4200.0, 55.0, 30.0, 78.0)]
+    layers: list[tuple[str, float, float, float, float]] = [("hills", 8000.0, 105.0, 57.0, 78.0)]
     if world.forest_m > 0:
         layers.append(("forest", world.horizon_m, world.forest_m, 0.10 * world.forest_m, 52.0))
     camera_height = float(canvas.pose.position[2])
@@ -71,10 +71,9 @@ def paint_horizon(canvas: Canvas, scene: Scene) -> None:
         z = np.float32(camera_height) + up * np.float32(distance)
         pixel_m = distance / canvas.intrinsics.fx
         cover = np.clip((skyline - z) / np.float32(2.2 * canvas.psf_px * pixel_m) + np.float32(0.5), 0.0, 1.0)
-        cover *= z > foot - 5.0 * pixel_m if name == "hills" else np.float32(1.0)
         texture = tile(scene.seed, "leaves", slope=0.7, coarsest=32.0, finest=3.0)
         rough = sample(texture, metres / np.float32(1.6 * pixel_m), z / np.float32(1.6 * pixel_m))
-        light = np.float32(tone) * (1 + np.float32(0.20 if name == "forest" else 0.05) * rough)
+        light = np.float32(tone) * (1 + np.float32(0.09 if name == "forest" else 0.04) * rough)
         light *= np.float32(0.8) + np.float32(0.3) * np.clip((z - foot) / np.float32(height), 0.0, 1.3)
         target = canvas.grey[rows]
         target += cover * (canvas.air.veil(light, distance) - target)
@@ -83,7 +82,7 @@ def paint_horizon(canvas: Canvas, scene: Scene) -> None:
 def _skyline(seed: int, name: str, metres: Floats, height: float, roughness: float) -> Float32:
     """Height (m) of a silhouette at the metres along it: two scales of noise."""
     texture = tile(seed, name, slope=1.2, coarsest=120.0, finest=3.0)
-    scale = 1.3 if name == "forest" else 60.0
+    scale = 1.3 if name == "forest" else 115.0
     line = np.zeros_like(metres)
     fine = sample(texture, metres / np.float32(scale), line)
     coarse = sample(texture, metres / np.float32(14 * scale), line + np.float32(200.0))

@@ -60,6 +60,8 @@ class World:
     """Height of the forest at the horizon; 0 for none."""
     horizon_m: float = 430.0
     """Distance of that forest."""
+    opening: float = 0.02
+    """Trees that the seed grows stay clear of the line by 14 m and by this share of their distance from A."""
     plain_grey: float = 170.0
     """Mean grey of the backdrops ``plain`` and ``textured``."""
 

@@ -24,8 +24,10 @@ def country_trees(scene: Scene, frame: SpanFrame) -> list[Tree]:
     length = frame.length
     for _ in range(80):
         along = float(rng.uniform(0.15, 2.2)) * length
+        if scene.world.forest_m > 0:
+            along = min(along, float(rng.uniform(0.3, 0.95)) * scene.world.horizon_m)
         side = float(rng.random())
-        away = float(rng.gamma(1.4, 22.0)) + 0.02 * along
+        away = float(rng.gamma(1.4, 22.0)) + scene.world.opening * along
         height = float(rng.uniform(3.0, 12.0)) if rng.random() < 0.55 else float(rng.uniform(0.8, 2.5))
         tree = Tree(
             along,
@@ -95,8 +97,8 @@ def draw_tree(canvas: Canvas, scene: Scene, frame: SpanFrame, tree: Tree, sunlig
     soft = np.float32(2.2 * canvas.psf_px * pixel_m / (tree.width_m / 2))
     cover = np.clip(inside / soft + np.float32(0.5), 0.0, 1.0)
     fine = sample(leaves, beside / np.float32(1.7 * pixel_m) + shift[2], z / np.float32(1.7 * pixel_m) + shift[3])
-    contrast = min(0.24, 0.05 + 3.0 * pixel_m)
-    tone = np.float32(tree.tone) * (1 + np.float32(0.22) * lumps + np.float32(contrast) * fine)
+    contrast = min(0.16, 0.03 + 1.0 * pixel_m)
+    tone = np.float32(tree.tone) * (1 + np.float32(0.17) * lumps + np.float32(contrast) * fine)
     tone *= np.float32(0.78) + np.float32(0.32 * (0.4 + sunlight)) * np.clip(y + np.float32(0.4) * x, -1.0, 1.0)
     if not bush:
         trunk = (np.abs(beside) < 0.02 * tree.height_m) & (z > -0.2) & (z < middle)

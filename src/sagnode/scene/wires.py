@@ -160,7 +160,7 @@ class _Polyline:
 
 def _greys(canvas: Canvas, curve: _Polyline, look: WireLook, seed: list[int]) -> Float32:
     """Grey of the wire at every point: dark where one looks up at its shaded side, lit where one looks down at it."""
-    lit = 0.5 - 0.5 * np.tanh(curve.elevation / np.float32(0.05))
+    lit = 0.5 - 0.5 * np.tanh((curve.elevation - np.float32(0.012)) / np.float32(0.035))
     rng = generator(*seed, "wire")
     waves = sum(
         np.sin(2 * np.pi * (k * curve.s + rng.random())) * rng.standard_normal() / np.sqrt(k) for k in (3, 7, 13, 29)
