@@ -17,7 +17,8 @@ import pytest
 from readings import START, fill, reading
 
 from sagnode.daemon import sequence as sequence_module
-from sagnode.daemon.journal import SCHEMA_VERSION, Journal
+from sagnode.daemon.journal import Journal
+from sagnode.daemon.journal_file import SCHEMA_VERSION
 from sagnode.daemon.wal import lost_frames
 from sagnode.errors import JournalError
 

@@ -12,15 +12,14 @@ from __future__ import annotations
 
 import contextlib
 import logging
-import shutil
 import sqlite3
 import threading
-import zlib
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
+from sagnode.daemon.journal_file import INSERT, checksum, is_damage, open_file, salvage, set_aside, transaction
 from sagnode.daemon.sequence import Ceiling
 from sagnode.daemon.wal import lost_frames
 from sagnode.errors import JournalError
@@ -28,28 +27,7 @@ from sagnode.message import ReadingHeader
 
 log = logging.getLogger(__name__)
 
-SCHEMA_VERSION = 1
-_MIGRATIONS: dict[int, str] = {
-    # user_version 0 is an empty file.
-    0: """
-    CREATE TABLE readings (
-        sequence INTEGER PRIMARY KEY,
-        acquired_at TEXT NOT NULL,
-        conductor TEXT NOT NULL,
-        validity TEXT NOT NULL,
-        json TEXT NOT NULL,
-        crc INTEGER NOT NULL,
-        -- pending: owed to the broker; delivered: PUBACK came; local: no broker is configured; damaged: fails its crc
-        fate TEXT NOT NULL CHECK (fate IN ('pending', 'delivered', 'local', 'damaged')),
-        delivered_at TEXT
-    );
-    CREATE INDEX pending ON readings (sequence) WHERE fate = 'pending';
-    """,
-}
-_COLUMNS = "sequence, acquired_at, conductor, validity, json, crc, fate, delivered_at"
-_INSERT = f"INSERT INTO readings ({_COLUMNS}) VALUES (?,?,?,?,?,?,?,?)"  # noqa: S608 - fixed words
 _DELETE_CHUNK = 500
-_SALVAGE_CHUNK = 5
 _NEWEST = 500
 """The newest reading of each conductor is looked for among so many last ones."""
 
@@ -96,9 +74,9 @@ class Journal:
             trusted = False
             self._remark(f"{self.path.name}-wal was damaged; sequence numbers leave a gap")
         try:
-            self._db = _open(self.path)
+            self._db = open_file(self.path)
         except sqlite3.DatabaseError as error:
-            if not _is_damage(error):
+            if not is_damage(error):
                 raise _cannot(self.path, error) from error
             trusted = False
             self._db = self._start_afresh(str(error))
@@ -140,8 +118,8 @@ class Journal:
                     for offset, reading in enumerate(readings)
                 ]
                 self._ceiling.cover(self._next + len(numbered) - 1)
-                with _transaction(self._db):
-                    self._db.executemany(_INSERT, [_values(reading, owed=owed) for reading in numbered])
+                with transaction(self._db):
+                    self._db.executemany(INSERT, [_values(reading, owed=owed) for reading in numbered])
             except (OSError, sqlite3.Error) as error:
                 # Whatever is not a mere lack of space may mean that file or disk are not what they were.
                 self._suspect = getattr(error, "sqlite_errorcode", 0) & 0xFF != sqlite3.SQLITE_FULL
@@ -159,7 +137,7 @@ class Journal:
         rows = [(_utc_text(at), sequence) for sequence in sequences]
         with self._lock:
             try:
-                with _transaction(self._db):
+                with transaction(self._db):
                     self._db.executemany(
                         "UPDATE readings SET fate = 'delivered', delivered_at = ? WHERE sequence = ?", rows
                     )
@@ -259,15 +237,15 @@ class Journal:
 
     def _checked(self, found: tuple[int, str, str, int]) -> Row | None:
         sequence, conductor, text, crc = found
-        if _crc(sequence, conductor, text) == crc:
+        if checksum(sequence, conductor, text) == crc:
             return Row(sequence, conductor, text)
         self._remark(f"reading {sequence} is damaged on the disk; set aside")
-        with _transaction(self._db):
+        with transaction(self._db):
             self._db.execute("UPDATE readings SET fate = 'damaged' WHERE sequence = ?", (sequence,))
         return None
 
     def _delete(self, condition: str, values: tuple[str, ...] = ()) -> int:
-        with _transaction(self._db):
+        with transaction(self._db):
             return self._db.execute(
                 "DELETE FROM readings WHERE sequence IN (SELECT sequence FROM readings"  # noqa: S608 - fixed words
                 f" WHERE {condition} AND sequence < (SELECT max(sequence) FROM readings) ORDER BY sequence LIMIT ?)",
@@ -286,13 +264,13 @@ class Journal:
 
     def _start_afresh(self, damage: str) -> sqlite3.Connection:
         """Set the damaged file aside under a name of its own and carry over what can be read of it."""
-        aside = _set_aside(self.path)
+        aside = set_aside(self.path)
         self._remark(f"damaged ({damage}); kept as {aside.name}, a new one was started")
         try:
-            db = _open(self.path)
-            rows = list(_salvage(aside, self._ceiling.value))
-            with _transaction(db):
-                db.executemany(_INSERT, rows)
+            db = open_file(self.path)
+            rows = list(salvage(aside, self._ceiling.value))
+            with transaction(db):
+                db.executemany(INSERT, rows)
         except (OSError, sqlite3.Error) as error:
             raise _cannot(self.path, error) from error
         log.warning("journal: %d readings carried over from %s", len(rows), aside.name)
@@ -301,111 +279,6 @@ class Journal:
     def _remark(self, text: str) -> None:
         log.error("journal: %s", text)
         self.note = text
-
-
-def _open(path: Path) -> sqlite3.Connection:
-    """Open, check and migrate; raises sqlite3.DatabaseError on damage, JournalError on a later version."""
-    db = sqlite3.connect(path, timeout=10.0, isolation_level=None, check_same_thread=False)
-    db.text_factory = _text
-    try:
-        db.execute("PRAGMA journal_mode = WAL")
-        db.execute("PRAGMA synchronous = FULL")
-        db.execute("PRAGMA wal_autocheckpoint = 256")
-        db.execute("PRAGMA journal_size_limit = 2000000")
-        verdict = db.execute("PRAGMA quick_check(1)").fetchone()[0]
-        if verdict != "ok":
-            raise sqlite3.DatabaseError(f"malformed: {verdict}")
-        _migrate(db, path)
-        # quick_check does not compare an index with its table; a reading that the index forgot would never be sent.
-        db.execute("REINDEX pending")
-    except BaseException:
-        db.close()
-        raise
-    return db
-
-
-def _migrate(db: sqlite3.Connection, path: Path) -> None:
-    version = db.execute("PRAGMA user_version").fetchone()[0]
-    if version > SCHEMA_VERSION:
-        raise JournalError(
-            f"{path} was written by a later sagnode (schema {version}, this one knows {SCHEMA_VERSION})",
-            "install that version again, or move the file away",
-        )
-    for step in range(version, SCHEMA_VERSION):
-        # One transaction a step: a power cut leaves the old or the new schema, never half of one.
-        db.executescript(f"BEGIN IMMEDIATE; {_MIGRATIONS[step]} PRAGMA user_version = {step + 1}; COMMIT;")
-
-
-@contextlib.contextmanager
-def _transaction(db: sqlite3.Connection) -> Iterator[None]:
-    db.execute("BEGIN IMMEDIATE")
-    try:
-        yield
-        db.execute("COMMIT")
-    except BaseException:
-        # After some disk errors SQLite has rolled back already; a second rollback is then an error of its own.
-        if db.in_transaction:
-            db.execute("ROLLBACK")
-        raise
-
-
-def _is_damage(error: sqlite3.DatabaseError) -> bool:
-    """Whether this error means a damaged file, not a full or forbidden disk."""
-    code = getattr(error, "sqlite_errorcode", None)
-    if code is not None:
-        return (code & 0xFF) in {sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB, sqlite3.SQLITE_ERROR}
-    return "malformed" in str(error) or "not a database" in str(error)
-
-
-def _set_aside(path: Path) -> Path:
-    stamp = datetime.now(UTC).strftime("%Y%m%dT%H%M%SZ")
-    aside = path.with_name(f"{path.stem}-damaged-{stamp}{path.suffix}")
-    number = 1
-    while aside.exists():
-        number += 1
-        aside = path.with_name(f"{path.stem}-damaged-{stamp}-{number}{path.suffix}")
-    for suffix in ("-wal", "-shm", ""):
-        part = path.with_name(path.name + suffix)
-        if part.exists():
-            part.rename(aside.with_name(aside.name + suffix))
-    return aside
-
-
-def _salvage(path: Path, up_to: int) -> Iterator[tuple[object, ...]]:
-    """Rows that can still be read and pass their checksum, few at a time so that damage costs only its neighbours.
-
-    Args:
-        path: the damaged file, with its log beside it.
-        up_to: no number above this one was ever used.
-    """
-    seen: set[int] = set()
-    patched = path.with_name(path.name + ".salvage")
-    with contextlib.suppress(OSError):
-        shutil.copyfile(path, patched)
-        with patched.open("r+b") as stream:
-            # A file that was cut short is refused as a whole, unless its header does not vouch for the length
-            # ("version-valid-for number", https://www.sqlite.org/fileformat2.html#database_header).
-            stream.seek(92)
-            stream.write(bytes(4))
-    for file in (path, patched):
-        with contextlib.suppress(sqlite3.Error), contextlib.closing(sqlite3.connect(file, isolation_level=None)) as db:
-            db.text_factory = _text
-            for start in range(0, up_to, _SALVAGE_CHUNK):
-                for row in _readable(db, start):
-                    sequence, _, conductor, _, text, crc, fate, _ = row
-                    sound = _crc(sequence, conductor, text) == crc and fate in {"pending", "delivered", "local"}
-                    if sound and isinstance(sequence, int) and sequence not in seen:
-                        seen.add(sequence)
-                        yield row
-    for suffix in ("-wal", "-shm", ""):
-        patched.with_name(patched.name + suffix).unlink(missing_ok=True)
-
-
-def _readable(db: sqlite3.Connection, after: int) -> list[tuple[object, ...]]:
-    query = f"SELECT {_COLUMNS} FROM readings WHERE sequence > ? AND sequence <= ?"  # noqa: S608 - fixed words
-    with contextlib.suppress(sqlite3.Error):
-        return db.execute(query, (after, after + _SALVAGE_CHUNK)).fetchall()
-    return []
 
 
 def _cannot(path: Path, error: Exception) -> JournalError:
@@ -420,20 +293,10 @@ def _values(reading: ReadingHeader, *, owed: bool) -> tuple[object, ...]:
         reading.conductor,
         str(reading.quality.validity),
         text,
-        _crc(reading.sequence, reading.conductor, text),
+        checksum(reading.sequence, reading.conductor, text),
         "pending" if owed else "local",
         None,
     )
-
-
-def _text(data: bytes) -> str:
-    """Damaged text is text all the same; its checksum tells."""
-    return data.decode(errors="replace")
-
-
-def _crc(sequence: object, conductor: object, text: object) -> int:
-    """Over all that a consumer will see; whatever a damaged row holds instead of text is covered as well."""
-    return zlib.crc32(f"{sequence}\n{conductor}\n{text}".encode(errors="replace"))
 
 
 def _utc_text(instant: datetime) -> str:

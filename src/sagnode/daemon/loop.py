@@ -30,7 +30,8 @@ from sagnode.daemon.show import Showcase
 from sagnode.daemon.stamp import Stamp
 from sagnode.message import ReadingHeader
 from sagnode.quality import Cause, Reason
-from sagnode.worker.supervisor import KILL_WAIT_S, Outcome, Supervisor
+from sagnode.worker.process import KILL_WAIT_S
+from sagnode.worker.supervisor import Outcome, Supervisor
 
 log = logging.getLogger(__name__)
 

@@ -144,20 +144,36 @@ def _run_daemon(config: Path, out: Path) -> int:
     # Directories of systemd's, where the demonstration itself is run by a service, are not the daemon's.
     environment = {k: v for k, v in os.environ.items() if k not in {"RUNTIME_DIRECTORY", "STATE_DIRECTORY"}}
     command = [sys.executable, "-m", "sagnode", "run", "--config", str(config)]
-    with (out / "daemon.log").open("wb") as log:
-        process = subprocess.Popen(
-            command, stdin=subprocess.DEVNULL, stdout=log, stderr=log, start_new_session=True, env=environment
-        )
+    process: subprocess.Popen[bytes] | None = None
     try:
+        with (out / "daemon.log").open("wb") as log, _interruptions_later():
+            process = subprocess.Popen(
+                command, stdin=subprocess.DEVNULL, stdout=log, stderr=log, start_new_session=True, env=environment
+            )
         return process.wait()
     finally:
-        if process.poll() is None:
+        if process is not None and process.poll() is None:
             process.terminate()
             try:
                 process.wait(_STOP_S)
             except subprocess.TimeoutExpired:
                 os.killpg(process.pid, signal.SIGKILL)
                 process.wait()
+
+
+@contextlib.contextmanager
+def _interruptions_later() -> Iterator[None]:
+    """Hold SIGINT and SIGTERM back for a moment, so that a child that is being started is not forgotten."""
+    came: list[int] = []
+    numbers = (signal.SIGINT, signal.SIGTERM)
+    before = [signal.signal(number, lambda got, _: came.append(got)) for number in numbers]
+    try:
+        yield
+    finally:
+        for number, handler in zip(numbers, before, strict=True):
+            signal.signal(number, handler)
+    if came:
+        raise KeyboardInterrupt
 
 
 def _print_reading(reading: ReadingHeader) -> None:

@@ -6,45 +6,30 @@ that the daemon can record an invalid reading; nothing here raises because of wh
 
 from __future__ import annotations
 
-import contextlib
 import logging
 import os
 import random
-import select
-import signal
-import subprocess
 import sys
-import threading
 import time
-from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 from pathlib import Path
-from typing import IO
 
 from pydantic import TypeAdapter, ValidationError
 
 from sagnode.quality import Cause, Reason
+from sagnode.worker.process import EXIT_WAIT_S, Child, CommandLine, status_text
 from sagnode.worker.protocol import Fault, Hello, MeasureReply, MeasureRequest, WorkerLine
 
 log = logging.getLogger(__name__)
 
-MAX_LINE = 1_000_000
-"""Bytes; a longer line is garbage."""
 START_DEADLINE_S = 90.0
 """From start to the first line: imports on a slow card and the camera's warm-up."""
 CAMERA_FAULTS_MAX = 3
 """So often in a row the worker reopens its camera itself; after that it is replaced, driver state and all."""
 _SLICE_S = 0.25
 _JUST_BEFORE = timedelta(microseconds=1)
-KILL_WAIT_S = 5.0
-"""Longest wait for a killed worker to be gone."""
-_EXIT_WAIT_S = 1.0
-"""A worker that closed its pipe may tell by its exit status why, before it is killed."""
-
-CommandLine = Callable[[int, int, "datetime | None"], Sequence[str]]
-"""(requests fd, replies fd, time of the last frame) to the worker's command line."""
 
 
 @dataclass(frozen=True)
@@ -93,7 +78,7 @@ class Supervisor:
         self._command = command
         self._limits = limits
         self._beat = beat
-        self._child: _Child | None = None
+        self._child: Child | None = None
         self._stopped = False
         self._failures = 0
         self._camera_faults = 0
@@ -136,7 +121,7 @@ class Supervisor:
         self._stopped = False
         if self._child is None and self.wait_s() == 0.0:
             try:
-                self._child = _Child(self._command, self._resume_after)
+                self._child = Child(self._command, self._resume_after)
             except OSError as error:
                 self._failed(Reason(Cause.WORKER_CRASHED, f"worker cannot be started: {error}"))
 
@@ -179,7 +164,7 @@ class Supervisor:
 
     # -- what a line means
 
-    def _ready(self, timeout_s: float) -> _Child | Outcome:
+    def _ready(self, timeout_s: float) -> Child | Outcome:
         self.start()
         child = self._child
         if child is None:
@@ -205,7 +190,7 @@ class Supervisor:
             return self._replace(Reason(Cause.DEADLINE, text))
         return Outcome(reason=Reason(Cause.DEADLINE, f"worker was still starting after {timeout_s:g} s"))
 
-    def _accept(self, child: _Child, reply: MeasureReply) -> Outcome:
+    def _accept(self, child: Child, reply: MeasureReply) -> Outcome:
         self._failures = 0
         self._camera_faults = 0
         self._last_reason = None
@@ -233,10 +218,10 @@ class Supervisor:
     def _garbage(self, what: str) -> Outcome:
         return self._replace(Reason(Cause.WORKER_GARBAGE, f"worker's answer is not understood: {what}; killed"))
 
-    def _crashed(self, child: _Child) -> Outcome:
-        return self._replace(Reason(Cause.WORKER_CRASHED, f"worker ended: {_status_text(child.end(_EXIT_WAIT_S))}"))
+    def _crashed(self, child: Child) -> Outcome:
+        return self._replace(Reason(Cause.WORKER_CRASHED, f"worker ended: {status_text(child.end(EXIT_WAIT_S))}"))
 
-    def _next_line(self, child: _Child, give_up: float) -> WorkerLine | Outcome | None:
+    def _next_line(self, child: Child, give_up: float) -> WorkerLine | Outcome | None:
         """The next line; an Outcome when there will be none; None when the time is up."""
         while self._beat():
             left = give_up - time.monotonic()
@@ -285,109 +270,3 @@ class Supervisor:
     def _waiting_reason(self) -> Reason:
         last = self._last_reason or Reason(Cause.WORKER_CRASHED, "no worker")
         return Reason(last.cause, f"{last.text} (next start in {self.wait_s():.0f} s)")
-
-
-class _Child:
-    """One worker process and its pipes."""
-
-    def __init__(self, command: CommandLine, resume_after: datetime | None) -> None:
-        requests_read, self._requests = os.pipe()
-        self._replies, replies_write = os.pipe()
-        os.set_blocking(self._requests, False)
-        os.set_blocking(self._replies, False)
-        try:
-            # The protocol has pipes of its own: what camera libraries print on stdout goes to the log with stderr.
-            # A session of its own, so that its whole process group can be killed.
-            self._process = subprocess.Popen(
-                list(command(requests_read, replies_write, resume_after)),
-                stdin=subprocess.DEVNULL,
-                stdout=subprocess.PIPE,
-                stderr=subprocess.STDOUT,
-                pass_fds=(requests_read, replies_write),
-                start_new_session=True,
-                # One arena per thread would cost 64 MB of address space each, and never shrink.
-                env={"MALLOC_ARENA_MAX": "2", **os.environ},
-            )
-        except OSError:
-            os.close(self._requests)
-            os.close(self._replies)
-            raise
-        finally:
-            os.close(requests_read)
-            os.close(replies_write)
-        self.pid = self._process.pid
-        self.started = time.monotonic()
-        self.hello: Hello | None = None
-        self.readings = 0
-        self._ended = False
-        self._status: int | None = None
-        self._buffer = bytearray()
-        self._words: deque[str] = deque(maxlen=20)
-        assert self._process.stdout is not None  # noqa: S101 - a pipe was asked for
-        self._listener = threading.Thread(target=self._listen, args=(self._process.stdout,), daemon=True)
-        self._listener.start()
-
-    def ask(self, request: MeasureRequest) -> bool:
-        """Send a request; False when the worker has gone."""
-        line = request.model_dump_json().encode() + b"\n"
-        try:
-            return os.write(self._requests, line) == len(line)
-        except (BrokenPipeError, BlockingIOError):
-            return False
-
-    def read_line(self, timeout_s: float) -> bytes | None:
-        """The next line; b"" at its end; None when nothing came in time. An overlong line is cut, and so is garbage."""
-        if b"\n" not in self._buffer and len(self._buffer) < MAX_LINE:
-            ready, _, _ = select.select([self._replies], [], [], timeout_s)
-            if not ready:
-                return None
-            chunk = os.read(self._replies, 1 << 16)
-            if not chunk:
-                return bytes(self._buffer)  # half a line is garbage, none is the end
-            self._buffer += chunk
-        end = self._buffer.find(b"\n")
-        if end < 0 and len(self._buffer) < MAX_LINE:
-            return None
-        line = bytes(self._buffer[: end + 1 or MAX_LINE])
-        del self._buffer[: len(line)]
-        return line
-
-    def end(self, exit_wait_s: float = 0.0) -> int | None:
-        """Kill the whole process group; returns the exit status, None when not even that worked (state D)."""
-        if not self._ended:
-            self._ended = True
-            with contextlib.suppress(subprocess.TimeoutExpired):
-                self._status = self._process.wait(exit_wait_s)
-            with contextlib.suppress(ProcessLookupError, PermissionError):
-                os.killpg(self.pid, signal.SIGKILL)
-            try:
-                self._status = self._process.wait(KILL_WAIT_S)
-            except subprocess.TimeoutExpired:
-                log.critical("worker %d cannot be killed; a driver holds it", self.pid)
-            os.close(self._requests)
-            os.close(self._replies)
-        return self._status
-
-    def last_words(self) -> list[str]:
-        """The tail of what it printed."""
-        self._listener.join(0.5)
-        return list(self._words)
-
-    def _listen(self, stream: IO[bytes]) -> None:
-        """Drain what the worker prints, so that it never blocks on a full pipe."""
-        with stream:
-            while chunk := stream.readline(4096):
-                words = chunk.decode(errors="replace").rstrip()
-                if words:
-                    self._words.append(words)
-                    log.debug("worker %d: %s", self.pid, words)
-
-
-def _status_text(status: int | None) -> str:
-    if status is None:
-        return "it cannot be killed; a driver holds it"
-    if status < 0:
-        with contextlib.suppress(ValueError):
-            return f"killed by signal {-status} ({signal.Signals(-status).name})"
-        return f"killed by signal {-status}"
-    return f"exit status {status}"
