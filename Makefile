@@ -32,7 +32,7 @@ format:
 
 bench:
 	@scripts/setup dev
-	@scripts/bench
+	@$(BIN)/python benchmarks/run.py
 
 clean:
 	rm -rf .venv .mypy_cache .ruff_cache .pytest_cache .hypothesis out build dist src/*.egg-info

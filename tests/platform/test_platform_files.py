@@ -13,7 +13,7 @@ from packaging.requirements import Requirement
 
 ROOT = Path(__file__).parents[2]
 UNIT = ROOT / "systemd" / "sagnode.service"
-SCRIPTS = [ROOT / name for name in ("scripts/setup", "scripts/check", "scripts/bench", ".ci/run", "deploy/install.sh")]
+SCRIPTS = [ROOT / name for name in ("scripts/setup", "scripts/check", ".ci/run", "deploy/install.sh")]
 
 
 def ran(*words: str | Path, **environment: str) -> subprocess.CompletedProcess[str]:
