@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from functools import lru_cache
+from multiprocessing import get_context
 from pathlib import Path
 
 import cv2
@@ -15,6 +17,7 @@ from sagnode.config.span import Span
 from sagnode.pipeline import load_site, measure_burst
 from sagnode.scene.site import site_directory
 from sagnode.scene.truth import read_truth
+from sagnode.site import Site
 from tally import Outcome, outcome
 
 PAPER_EVERY = 8
@@ -33,27 +36,40 @@ def demo_span() -> Span:
     return load_span(site_directory() / "span.toml").span
 
 
-def measure_day(frames: Sequence[Path]) -> Iterator[Outcome]:
-    """Sagnode's own method on all frames."""
-    if not frames:
-        return
-    site = load_site(demo_span())
-    for file in frames:
-        truth = read_truth(file).conductors
-        for measured in measure_burst(site, [read_grey(file)]):
-            yield outcome(GROUP, file.stem, 0, measured, truth[measured.conductor])
+def measure_day(frames: Sequence[Path], jobs: int) -> Iterator[Outcome]:
+    """Sagnode's own method on all frames, in their order."""
+    yield from _on_each(_frame_by_sagnode, frames, jobs)
 
 
 def measure_day_by_paper(frames: Sequence[Path], jobs: int) -> Iterator[Outcome]:
     """The paper's methods, as printed and helped, in the order of the frames."""
-    with ProcessPoolExecutor(max_workers=jobs) as pool:
-        for outcomes in pool.map(_frame_by_paper, frames):
+    yield from _on_each(_frame_by_paper, frames, jobs)
+
+
+def _on_each(function: Callable[[Path], list[Outcome]], frames: Sequence[Path], jobs: int) -> Iterator[Outcome]:
+    # spawned, since a fork does not survive the threads that OpenCV may have started here
+    with ProcessPoolExecutor(max_workers=jobs, mp_context=get_context("spawn")) as pool:
+        for outcomes in pool.map(function, frames):
             yield from outcomes
 
 
 def time_of_a_frame(file: Path) -> list[Timing]:
     """How long one frame of the day takes."""
     return timings(demo_span(), read_grey(file), file.stem)
+
+
+@lru_cache(maxsize=1)
+def _site() -> Site:
+    return load_site(demo_span())
+
+
+def _frame_by_sagnode(file: Path) -> list[Outcome]:
+    cv2.setNumThreads(1)
+    truth = read_truth(file).conductors
+    return [
+        outcome(GROUP, file.stem, 0, measured, truth[measured.conductor])
+        for measured in measure_burst(_site(), [read_grey(file)])
+    ]
 
 
 def _frame_by_paper(file: Path) -> list[Outcome]:

@@ -6,6 +6,7 @@ import tempfile
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
+from multiprocessing import get_context
 from pathlib import Path
 
 import cv2
@@ -58,7 +59,8 @@ def negative_tasks(worlds: int, seed: int, views: Sequence[str]) -> list[Task]:
 
 def run(tasks: list[Task], jobs: int) -> Iterator[list[Outcome]]:
     """Outcomes of every task, in the tasks' order, whatever the number of processes."""
-    with ProcessPoolExecutor(max_workers=jobs) as pool:
+    # spawned, since a fork does not survive the threads that OpenCV has started here
+    with ProcessPoolExecutor(max_workers=jobs, mp_context=get_context("spawn")) as pool:
         yield from pool.map(run_task, tasks)
 
 

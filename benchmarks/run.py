@@ -31,7 +31,7 @@ def main() -> int:
     started = time.monotonic()
     frames = [] if options.no_day else frames_of_the_day()
     _say(started, f"demonstration's day: {len(frames)} frames")
-    own = list(measure_day(frames))
+    own = list(measure_day(frames, options.jobs))
     paper: list[Outcome] = []
     timing: list[Timing] = []
     if frames and not options.no_paper:
