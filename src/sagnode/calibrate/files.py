@@ -62,7 +62,9 @@ def save_intrinsics(path: Path | str, intrinsics: Intrinsics, notes: Mapping[str
         ConfigError: the file cannot be written.
     """
     path = Path(path)
-    distortion = intrinsics.distortion or (0.0,) * (4 if intrinsics.model == "fisheye" else 5)
+    # k1 and k2 alone are a model too, but no file format's: trailing zeros change nothing
+    length = 4 if intrinsics.model == "fisheye" else 5 if len(intrinsics.distortion) <= 5 else 8
+    distortion = (*intrinsics.distortion, *(0.0,) * length)[:length]
     lines = [
         "%YAML:1.0",
         "---",

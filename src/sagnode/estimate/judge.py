@@ -19,8 +19,8 @@ SCORE_MIN = 8.0
 """Robust z-score over the shifted curves below which a wire is not proven."""
 SUPPORT_MIN = 0.30
 """Least share of the blocks in view that must lie on the curve; without a wire about one in ten does by chance."""
-VISIBLE_MIN = 0.25
-VISIBLE_GOOD = 0.40
+VISIBLE_MIN = 0.20
+VISIBLE_GOOD = 0.33
 """Shares of the span that must be seen for a questionable and for a good reading."""
 SAG_U_MAX = 0.10
 """Relative standard uncertainty of sag above which a number is no measurement."""

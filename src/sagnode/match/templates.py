@@ -94,9 +94,10 @@ def even_parameters(
     step = (1 - span_share) * step / step.sum() + span_share * along / along.sum()
     arc = np.concatenate([[0.0], np.cumsum(step)])
     wanted = np.linspace(0.0, arc[-1], count)
-    # arc is flat where the curve is hidden; keep its strictly rising part
-    rising = np.concatenate([[True], np.diff(arc) > 0])
-    return np.asarray(np.interp(wanted, arc[rising], t[rising]))
+    # arc is flat where the curve is hidden: keep the ends of its rising stretches
+    rising = np.diff(arc) > 0
+    ends = np.concatenate([rising, [False]]) | np.concatenate([[False], rising])
+    return np.asarray(np.interp(wanted, arc[ends], t[ends]))
 
 
 def _grid(low: float, high: float, step: float) -> FloatArray:

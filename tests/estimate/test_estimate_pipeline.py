@@ -1,0 +1,139 @@
+"""The whole way of a frame on rendered scenes: numbers near the truth, honest intervals, and refusals with reasons."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from sagnode.calibrate.files import save_intrinsics
+from sagnode.config.node import Measure
+from sagnode.geometry.camera import project
+from sagnode.measurement import ConductorMeasurement
+from sagnode.pipeline import load_site, measure_burst
+from sagnode.quality import Cause, Validity
+from sagnode.scene.presets import simple_scene
+from sagnode.scene.render import Rendered, render
+from sagnode.scene.spec import Moment, Scene
+from sagnode.site import Site
+
+
+@pytest.fixture(scope="module")
+def scene_and_moment() -> tuple[Scene, Moment]:
+    return simple_scene({"L1": 1.8, "L2": 2.3}, error_scale=1.0, seed=4)
+
+
+@pytest.fixture(scope="module")
+def site(scene_and_moment: tuple[Scene, Moment], tmp_path_factory: pytest.TempPathFactory) -> Site:
+    return site_of(*scene_and_moment, tmp_path_factory.mktemp("site"))
+
+
+def site_of(scene: Scene, moment: Moment, directory: Path) -> Site:
+    """The surveyed site of a scene, with the picture of a moment as its reference."""
+    reference, lens = directory / "reference.png", directory / "camera.yaml"
+    cv2.imwrite(str(reference), render(scene, moment).image)
+    save_intrinsics(lens, scene.intrinsics)
+    camera = scene.surveyed.camera.model_copy(update={"reference_image": reference, "intrinsics": lens})
+    return load_site(scene.surveyed.model_copy(update={"camera": camera}), Measure())
+
+
+def truth(rendered: Rendered, conductor: str, field: str) -> float:
+    return float(rendered.truth["conductors"][conductor][field])
+
+
+def invalid_for(measurements: list[ConductorMeasurement], cause: Cause) -> bool:
+    return all(
+        m.validity is Validity.INVALID and not m.estimates and cause in [r.cause for r in m.reasons]
+        for m in measurements
+    )
+
+
+def test_sag_and_clearance_are_near_the_truth_within_their_uncertainty(
+    scene_and_moment: tuple[Scene, Moment], site: Site
+) -> None:
+    scene, still = scene_and_moment
+    moved = replace(still, turn_rad=(0.004, 0.006, -0.002), seed=11)
+    rendered = render(scene, moved)
+    for m in measure_burst(site, [rendered.image]):
+        assert m.validity is not Validity.INVALID, m.reasons
+        for stem in ("sag", "clearance", "lowest_height"):
+            estimate = m.estimates[stem]
+            error = estimate.value - truth(rendered, m.conductor, f"{stem}_m")
+            assert abs(error) < 4 * estimate.u
+            assert 0.001 < estimate.u < 0.1
+            assert estimate.lo < estimate.value < estimate.hi
+        # the parts of the budget are the whole of the uncertainty
+        parts = np.array(list(m.budget["sag"].values()))
+        assert np.sqrt(np.sum(parts**2)) == pytest.approx(m.estimates["sag"].u, rel=1e-6)
+        assert m.visible_share is not None
+        assert m.visible_share > 0.3
+        assert m.landmarks_used >= 5
+
+
+def test_the_drawing_lies_on_the_true_curve(scene_and_moment: tuple[Scene, Moment], site: Site) -> None:
+    scene, still = scene_and_moment
+    rendered = render(scene, still)
+    for m in measure_burst(site, [rendered.image]):
+        true_curve = np.array(rendered.truth["conductors"][m.conductor]["pixels"])
+        assert m.drawing is not None
+        curve = m.drawing.curve[np.isfinite(m.drawing.curve).all(axis=1)]
+        distance = np.hypot(*(true_curve[:, None] - curve[None]).transpose(2, 0, 1)).min(axis=1)
+        assert np.median(distance) < 0.5
+
+
+def test_a_burst_is_combined_and_one_bad_frame_is_left_out(scene_and_moment: tuple[Scene, Moment], site: Site) -> None:
+    scene, still = scene_and_moment
+    frames = [render(scene, replace(still, seed=20 + k)).image for k in range(3)]
+    frames.append(np.full_like(frames[0], 3))
+    for m in measure_burst(site, frames):
+        assert m.validity is not Validity.INVALID
+        assert (m.frames_used, m.frames_rejected) == (3, 1)
+
+
+def test_no_wire_no_number(scene_and_moment: tuple[Scene, Moment], site: Site) -> None:
+    scene, still = scene_and_moment
+    image = render(scene, replace(still, draw_wires=False)).image
+    for m in measure_burst(site, [image]):
+        assert m.validity is Validity.INVALID
+        assert not m.estimates
+        assert m.reasons
+
+
+@pytest.mark.parametrize(
+    ("image", "cause"),
+    [
+        (np.full((480, 640), 4, np.uint8), Cause.DARK),
+        (np.full((480, 640), 255, np.uint8), Cause.OVEREXPOSED),
+        (np.full((480, 640), 128, np.uint8), Cause.LOW_CONTRAST),
+        (np.zeros((240, 320), np.uint8), Cause.BAD_CALIBRATION),
+        (np.random.default_rng(1).integers(0, 255, (480, 640)).astype(np.uint8), Cause.LANDMARKS_LOST),
+    ],
+)
+def test_pictures_that_show_nothing_are_refused_with_their_reason(site: Site, image: np.ndarray, cause: Cause) -> None:
+    assert invalid_for(measure_burst(site, [image]), cause)
+
+
+def test_a_knocked_camera_is_refused(scene_and_moment: tuple[Scene, Moment], site: Site) -> None:
+    scene, still = scene_and_moment
+    far = 1.2 * site.max_movement_px / scene.intrinsics.fx
+    image = render(scene, replace(still, turn_rad=(0.0, far, 0.0))).image
+    measurements = measure_burst(site, [image])
+    causes = {r.cause for m in measurements for r in m.reasons}
+    assert all(m.validity is Validity.INVALID for m in measurements)
+    assert causes & {Cause.CAMERA_MOVED, Cause.LANDMARKS_LOST}
+
+
+def test_without_undistortion_the_lens_is_taken_for_perfect(
+    scene_and_moment: tuple[Scene, Moment], tmp_path: Path
+) -> None:
+    scene, _ = scene_and_moment
+    lens = tmp_path / "camera.yaml"
+    save_intrinsics(lens, scene.intrinsics)
+    camera = scene.surveyed.camera.model_copy(update={"intrinsics": lens})
+    span = scene.surveyed.model_copy(update={"camera": camera, "landmarks": ()})
+    plain = load_site(span, Measure(undistort=False))
+    assert plain.intrinsics.distortion == ()
+    corner = np.array([3.0, 20.0, 10.0])
+    bent = project(load_site(span).intrinsics, plain.pose, corner)[0]
+    assert np.hypot(*(bent - project(plain.intrinsics, plain.pose, corner)[0])) > 0.05
