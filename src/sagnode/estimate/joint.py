@@ -253,7 +253,7 @@ def solve(
             gradient += np.einsum("nik,nij,nj->k", lj, weighted, lr)
         if curve is not None:
             spread = max(1.4826 * float(np.median(np.abs(cr))), 1e-3)
-            scale2 = white + CORRELATED_PX**2 + (0.0 if step_number > 2 else spread**2)
+            scale2 = white + CORRELATED_PX**2 + (0.0 if step_number > 1 else spread**2)
             weight = _robust(cr**2 / scale2, 2.5)
             covariance = np.diag(white / np.maximum(weight, 1e-6)) + correlated
             solved = np.linalg.solve(covariance, np.column_stack([cj, cr]))
@@ -270,7 +270,7 @@ def solve(
         theta[SAG] = np.clip(theta[SAG], 0.2 * survey.sag_range[0], 2 * survey.sag_range[1])
         theta[SWING] = np.clip(theta[SWING], -1.4, 1.4)
         posterior = np.linalg.inv(normal_matrix)
-        if step_number >= 3 and np.all(np.abs(step[active]) < 0.01 * np.sqrt(np.diag(posterior))[active]):
+        if step_number >= 2 and np.all(np.abs(step[active]) < 0.01 * np.sqrt(np.diag(posterior))[active]):
             converged = True
             break
     terms(theta)

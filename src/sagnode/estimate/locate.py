@@ -11,7 +11,7 @@ from sagnode.capture.port import GreyImage
 from sagnode.estimate.joint import ATTACHMENTS, SAG, SWING, CurveObservations, Solution, Survey, solve
 from sagnode.estimate.register import Registered, moved_survey
 from sagnode.geometry.camera import FloatArray
-from sagnode.match.refine import Observed, Sighting, Track, observe, sight, trace
+from sagnode.match.refine import Observed, Sighting, Track, observe, runs_near, sight, trace
 from sagnode.match.ribbon import SIDE_OFFSET_PX, normals, pair_response
 from sagnode.match.templates import SAMPLES, STEP_PX, View, even_parameters, search
 from sagnode.site import Site, SiteConductor
@@ -27,11 +27,13 @@ class Stage:
     """Shifted curves that a block is ranked against."""
     run: int
     """Least number of blocks in a row: long runs are the clear part of a wire, chance does not make them."""
+    iterations: int
+    """Most steps of the joint estimate."""
 
 
-STAGES = (Stage(8.0, 8.0, 2, 6), Stage(5.0, 8.0, 6, 1), Stage(3.0, 20.0, 12, 1))
+STAGES = (Stage(8.0, 8.0, 2, 6, 5), Stage(5.0, 8.0, 4, 1, 6), Stage(3.0, 20.0, 8, 1, 12))
 """From the first refinement to the last, which knows the curve to a pixel and follows the wire where it is faint."""
-MAX_BLOCKS = 150
+MAX_BLOCKS = 80
 """More blocks say nothing new: neighbours within a few dozen pixels share their error."""
 CANDIDATES = 4
 RIVAL_APART_PX = 3.0
@@ -68,22 +70,24 @@ class Matched:
 
 
 def locate(site: Site, image: GreyImage, registered: Registered) -> dict[str, Matched]:
-    """Find all conductors of the span, those that are only known about included.
+    """Find the measured conductors of a span, by id.
 
-    Every conductor is first found alone; then each is refined once more with the others' curves masked, so that a
-    neighbour a few pixels away cannot pull it.
+    Every conductor, those that are only known about included, is first found alone; then those that run close to
+    another are refined once more with the others' curves masked, so that a neighbour cannot pull them.
     """
     alone = {c.id: _find(image, c, registered) for c in site.conductors}
     curves = {name: m.track.pixels for name, m in alone.items() if m is not None}
     found: dict[str, Matched] = {}
     for conductor in site.conductors:
         first = alone[conductor.id]
-        if first is None:
+        if first is None or not conductor.measured:
             continue
         others = [pixels for name, pixels in curves.items() if name != conductor.id]
-        final = _refine(image, conductor, registered, first.solution.theta, others, STAGES[1:])
-        if final is not None:
-            found[conductor.id] = replace(final, rival=first.rival)
+        if runs_near(first.track, others, STAGES[-1].half_range_px):
+            masked = _refine(image, conductor, registered, first.solution.theta, others, STAGES[1:])
+            first = None if masked is None else replace(masked, rival=first.rival)
+        if first is not None:
+            found[conductor.id] = first
     return found
 
 
@@ -116,6 +120,9 @@ def _find(image: GreyImage, conductor: SiteConductor, registered: Registered) ->
     if not results:
         return None
     results.sort(key=_merit, reverse=True)
+    if not conductor.measured:
+        # known to a pixel is enough to keep out of its way
+        return results[0]
     # what is left open by the clear part of the best one, and other candidates that are nearly as good
     starts = [results[0].solution.theta, *_along_the_valley(image, results[0], conductor)]
     starts += [r.solution.theta for r in results[1:] if _rivalry(image, results[0], r) > RIVAL_WORTH_A_LOOK]
@@ -243,7 +250,7 @@ def _refine(
             measured=(observed.pixel + observed.offset[:, None] * observed.normal)[use],
             sigma=observed.sigma[use],
         )
-        solution = solve(survey, theta, registered.landmarks, offsets)
+        solution = solve(survey, theta, registered.landmarks, offsets, stage.iterations)
         theta = solution.theta
     if solution is None or observed is None:
         return None

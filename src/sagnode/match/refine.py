@@ -17,7 +17,7 @@ WINDOW_PX = 24.0
 WINDOW_SHARE = 0.04
 WINDOW_RANK = 0.95
 """A window is seen when it responds more strongly than 95 % of the shifted curves there: by chance one in twenty."""
-SHIFTS_PX = (16.0, -16.0, 23.0, -23.0, 31.0, -31.0, 11.0, -11.0, 37.0, -37.0, 44.0, -44.0)
+SHIFTS_PX = (16.0, -16.0, 23.0, -23.0, 31.0, -31.0, 11.0, -11.0)
 """Where the same curve is laid beside the wire to learn what the background alone looks like."""
 FALSE_PEAK_POWER = 6.0
 MAX_SAMPLES = 6000
@@ -117,7 +117,7 @@ def observe(
     rank, lead = _rank(image, track, blocks, half_range, block_px, SHIFTS_PX[:shifts])
     index = np.clip(np.round(blocks.index).astype(np.intp), 0, len(track.t) - 1)
     pixel, normal = track.pixels[index], track.normal[index]
-    reach = half_range + 3.0 + 0.5 * float(np.median(track.width))
+    reach = _reach(track, half_range)
     masked = _folds_back(track, index, reach)
     for other in others:
         masked |= _near(pixel, normal, other, reach)
@@ -167,6 +167,18 @@ def _neighbours_agree(blocks: Blocks, usable: NDArray[np.bool_]) -> NDArray[np.b
     exist = np.minimum(position, NEIGHBOURS) + np.minimum(len(usable) - 1 - position, NEIGHBOURS)
     result: NDArray[np.bool_] = count >= np.minimum(NEIGHBOURS, np.ceil(exist / 2))
     return result
+
+
+def runs_near(track: Track, others: list[FloatArray], half_range: float) -> bool:
+    """Whether any other polyline (K, 2) comes so close to a track that its blocks would be masked."""
+    every = slice(None, None, 8)
+    pixels, normal = track.pixels[every], track.normal[every]
+    return any(_near(pixels, normal, other, _reach(track, half_range)).any() for other in others)
+
+
+def _reach(track: Track, half_range: float) -> float:
+    """Distance across the curve within which another wire disturbs a block, px."""
+    return half_range + 3.0 + 0.5 * float(np.median(track.width))
 
 
 def _rank(

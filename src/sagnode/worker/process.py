@@ -57,7 +57,8 @@ class Child:
                 pass_fds=(requests_read, replies_write),
                 start_new_session=True,
                 # One arena per thread would cost 64 MB of address space each, and never shrink.
-                env={"MALLOC_ARENA_MAX": "2", **os.environ},
+                # The matrices are small: threads of the linear algebra only wait for each other.
+                env={"MALLOC_ARENA_MAX": "2", "OPENBLAS_NUM_THREADS": "1", **os.environ},
             )
         except OSError:
             os.close(self._requests)
