@@ -21,7 +21,6 @@ v down, 0,0 the centre of the upper left pixel). Nothing need be known about cam
 A point may lie outside the picture, by up to its width or height on either side, where the conductor leaves it."""
 EPILOG = "exit codes: 0 a conductor was found, 1 none was (the reason is told), 2 usage or unreadable picture"
 SCHEMA_VERSION = "sagnode.fit/1"
-KIND = "rational-quadratic-bezier"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -96,13 +95,14 @@ def fit_document(
         "from": list(start),
         "to": list(end),
         "found": result.found,
-        "kind": KIND,
+        "kind": result.kind,
         "control_points": _numbers(result.control_points) if result.found else [],
         "weights": _numbers(result.weights) if result.found else [],
         "points": _numbers(result.points) if result.found else [],
         "confidence": _numbers(result.confidence) if result.found else [],
         "score": _finite(result.score),
         "residual_px": _finite(result.residual_px) if result.found else None,
+        "visible_share": _finite(result.visible_share),
         "refusal": refusal,
     }
 
@@ -131,8 +131,9 @@ def _lines(args: argparse.Namespace, result: FitResult) -> list[str]:
         return [f"{args.image}: no conductor was found", *(f"  {r.cause}: {r.text}" for r in result.reasons)]
     control = "  ".join(f"({u:.1f}, {v:.1f})" for u, v in result.control_points)
     lowest = result.points[result.points[:, 1].argmax()]
+    seen = f"{100 * result.visible_share:.0f} % visible"
     lines = [
-        f"{args.image}: found, score {result.score:.1f}, residual {result.residual_px:.2f} px",
+        f"{args.image}: found, score {result.score:.1f}, residual {result.residual_px:.2f} px, {seen}",
         f"  control points  {control}",
         f"  weights         {'  '.join(f'{w:.4f}' for w in result.weights)}",
         f"  lowest pixel    ({lowest[0]:.1f}, {lowest[1]:.1f})",
