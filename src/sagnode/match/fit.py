@@ -1,13 +1,14 @@
 """One conductor between two points of any photograph: nothing is known of camera, span or survey.
 
 The way of a fit: arcs between the two points are scored on a map of oriented lines (``fit_search``), the best are
-followed from coarse to fine (``fit_follow``), judged against their own neighbourhood (``fit_judge``), and the best of
-them is refined to sub-pixel (``fit_refine``). What does not stand out, is hidden for the most part, or has an equal
-elsewhere is refused with its reason.
+followed from coarse to fine (``fit_follow``), judged against their own neighbourhood (``fit_judge``), and refined to
+sub-pixel (``fit_refine``). The best of them is the answer if it can be seen along enough of its length; what does not
+stand out, is hidden for the most part, or has an equal elsewhere is refused with its reason.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import cv2
@@ -18,28 +19,134 @@ from sagnode.capture.port import GreyImage
 from sagnode.geometry.camera import FloatArray
 from sagnode.match.fit_curve import Curve
 from sagnode.match.fit_follow import LEVEL_PX, follow, pyramid
-from sagnode.match.fit_judge import Verdict, gaps, judge
+from sagnode.match.fit_judge import Verdict, judge
 from sagnode.match.fit_refine import Refined, refine
 from sagnode.match.fit_search import search
 from sagnode.quality import Cause, Reason
 
 SLACK_PX = 2.0
+"""Standard uncertainty of a point clicked on a wire, px."""
+SHORTEST_PX = 40.0
+"""A chord shorter than this holds too few blocks to tell a wire from chance."""
+FEWEST_POINTS = 60
 CANDIDATES = 10
 JUDGED = 3
+LEAST_SHARE = 0.5
+"""Share of the blocks in which the wire must be seen."""
+LONGEST_END = 0.25
+"""Greatest share at either end in which no wire is seen: beyond it the curve is a guess."""
+CHANCE = 1e-5
+"""Greatest probability that as many blocks look like the wire by chance."""
+DARK_GREY = 12
+FLAT_GREY = 3
+SEEN_IF_THERE = 0.92
+"""Probability that a block with an unhidden wire is sure of it; from rendered wires on sky, clouds and trees."""
+CHANGE = 0.05
+"""Probability that the wire vanishes or comes back from one block to the next."""
 
 
 @dataclass(frozen=True)
-class Fit:
-    """One candidate, followed, refined and judged (pixels of the frame)."""
+class FitResult:
+    """A curve in the picture, or why there is none.
+
+    Attributes:
+        found: whether there is a curve; without one the arrays are empty.
+        reasons: why not; empty if found.
+        control_points: of the rational quadratic Bézier (3, 2), px.
+        weights: of the control points (3,), the outer two 1.
+        points: equally spaced along the curve, ends included (>= 50, 2), px. Where ``kind`` says so they depart slowly
+            from the Bézier, as the wire does; they are then the better description.
+        confidence: probability that the wire can be seen at each point, 0..1, shape of ``points`` (N,).
+        score: robust z of the curve among the same curve shifted aside; 0 without a candidate.
+        residual_px: root mean square distance of the wire from the curve where it is seen.
+        visible_share: share of the curve along which the wire is seen.
+        kind: "rational-quadratic-bezier", or with "+departure".
+    """
+
+    found: bool
+    reasons: tuple[Reason, ...]
+    control_points: FloatArray
+    weights: FloatArray
+    points: FloatArray
+    confidence: FloatArray
+    score: float
+    residual_px: float
+    visible_share: float
+    kind: str = "rational-quadratic-bezier"
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """One arc, followed, refined and judged; its curve in pixels of the frame."""
 
     curve: Curve
     refined: Refined
     verdict: Verdict
-    total: float
+    off_anchors_px: float
+
+    @property
+    def share(self) -> float:
+        """Share of its blocks that show the wire."""
+        return float(self.refined.sure.mean())
+
+    @property
+    def merit(self) -> float:
+        """What candidates are compared by: seen share, how clearly, and how far the points given were missed."""
+        return self.share + self.verdict.strength / 30 - 0.005 * self.off_anchors_px**2
 
 
-def candidates(image: GreyImage, anchors: FloatArray, slack: float) -> list[Fit]:
-    """The best few arcs, followed, refined and judged; best first."""
+def fit_between(
+    image: GreyImage, start: tuple[float, float], end: tuple[float, float], slack_px: float = SLACK_PX
+) -> FitResult:
+    """Fit one curve to the conductor that passes near two pixels.
+
+    Args:
+        image: 8-bit grey picture (height, width).
+        start: pixel (u, v) near one end of the stretch; may lie a little outside the picture.
+        end: pixel (u, v) near the other end.
+        slack_px: standard uncertainty of the two points.
+
+    Returns:
+        The curve, or a refusal with its reasons.
+    """
+    anchors = np.array([start, end], dtype=np.float64)
+    chord = float(np.hypot(*(anchors[1] - anchors[0])))
+    if not chord >= SHORTEST_PX:
+        text = f"the two points are {chord:.0f} px apart; give points at least {SHORTEST_PX:.0f} px apart"
+        return refusal(Reason(Cause.TOO_LITTLE_VISIBLE, text))
+    ranked = candidates(image, anchors, slack_px)
+    if not ranked:
+        return refusal(_nothing(image, anchors))
+    best = ranked[0]
+    reason = _doubt(image, anchors, best) or _rival(best, ranked[1:])
+    if reason is not None:
+        return refusal(reason, best.verdict.score, best.share)
+    count = max(FEWEST_POINTS, min(400, math.ceil(best.curve.length() / 8)))
+    _, points = best.curve.evenly(count)
+    seen = visibility(best.refined.sure, best.refined.by_chance)
+    return FitResult(
+        found=True,
+        reasons=(),
+        control_points=best.curve.control,
+        weights=np.array([1.0, best.curve.weight, 1.0]),
+        points=points,
+        confidence=np.interp(np.linspace(0, 1, count), best.refined.fraction, seen),
+        score=best.verdict.score,
+        residual_px=best.refined.residual_px,
+        visible_share=best.share,
+        kind="rational-quadratic-bezier" + ("+departure" if len(best.curve.departure) else ""),
+    )
+
+
+def refusal(reason: Reason, score: float = 0.0, share: float = 0.0) -> FitResult:
+    """A result without a curve."""
+    none = np.empty((0, 2))
+    empty = np.empty(0)
+    return FitResult(False, (reason,), none, empty, none, empty, score, math.inf, share)
+
+
+def candidates(image: GreyImage, anchors: FloatArray, slack: float) -> list[Candidate]:
+    """The best few arcs near the anchors (2, 2), followed, judged and refined; best first."""
     chord = float(np.linalg.norm(anchors[1] - anchors[0]))
     arcs = search(image, anchors[0], anchors[1], CANDIDATES)
     arcs = [arc for arc in arcs if arc.score > 0.6 * arcs[0].score]
@@ -55,16 +162,125 @@ def candidates(image: GreyImage, anchors: FloatArray, slack: float) -> list[Fit]
             followed.append((total, curve))
     followed.sort(key=lambda one: -one[0])
     finest = pictures[-1]
-    fits = []
-    for total, curve in followed[:JUDGED]:
+    found = []
+    for _, curve in followed[:JUDGED]:
         here = curve.moved(finest.origin)
         verdict = judge(finest.grey, here)
         refined = refine(finest.grey, here, verdict.kernels, anchors - finest.origin, slack)
-        fits.append(Fit(refined.curve.moved(-finest.origin), refined, verdict, total))
-    return sorted(fits, key=lambda fit: -fit.verdict.strength)
+        final = refined.curve.moved(-finest.origin)
+        off = float(np.linalg.norm(final.evenly(2)[1] - anchors) / slack)
+        found.append(Candidate(final, refined, verdict, off))
+    return sorted(found, key=lambda one: -one.merit)
+
+
+def visibility(sure: NDArray[np.bool_], by_chance: float) -> FloatArray:
+    """Probability (M,) that the wire can be seen in each block, from which blocks are sure of it.
+
+    Two states, seen and hidden, that rarely change from block to block: the forward-backward recursion.
+    """
+    chance = float(np.clip(by_chance, 0.05, 0.5))
+    likelihood = np.where(sure[:, None], [SEEN_IF_THERE, chance], [1 - SEEN_IF_THERE, 1 - chance])
+    move = np.array([[1 - CHANGE, CHANGE], [CHANGE, 1 - CHANGE]])
+    forward = np.empty_like(likelihood)
+    backward = np.ones_like(likelihood)
+    state = np.array([0.5, 0.5])
+    for index, here in enumerate(likelihood):
+        state = (state if index == 0 else state @ move) * here
+        state = state / state.sum()
+        forward[index] = state
+    for index in range(len(likelihood) - 2, -1, -1):
+        state = move @ (likelihood[index + 1] * backward[index + 1])
+        backward[index] = state / state.sum()
+    both = forward * backward
+    return np.asarray(both[:, 0] / both.sum(axis=1))
+
+
+def _doubt(image: GreyImage, anchors: FloatArray, best: Candidate) -> Reason | None:
+    """Why the best candidate is no conductor, or too little of one."""
+    sure = best.refined.sure
+    share, chance = best.share, float(np.clip(best.refined.by_chance, 0.15, 0.4))
+    by_luck = _tail(int(sure.sum()), len(sure), chance)
+    if by_luck > CHANCE or share < 0.5 * LEAST_SHARE:
+        return _nothing(image, anchors, share)
+    if share < LEAST_SHARE:
+        text = f"a line is seen along {share:.0%} of the curve only; choose points between which more of it is clear"
+        return Reason(Cause.TOO_LITTLE_VISIBLE, text)
+    where = best.refined.fraction[sure]
+    for name, missing in (("first", where[0]), ("second", 1 - where[-1])):
+        if missing > LONGEST_END:
+            text = (
+                f"no line is seen along the {missing:.0%} next to the {name} point; move it to where the wire is seen"
+            )
+            return Reason(Cause.TOO_LITTLE_VISIBLE, text)
+    return None
+
+
+def _rival(best: Candidate, others: list[Candidate]) -> Reason | None:
+    """Another curve that is as good and goes elsewhere."""
+    for other in others:
+        apart = _apart(best.curve, other.curve)
+        if apart > 4.0 and other.merit > best.merit - 0.05:
+            text = f"two lines {apart:.0f} px apart fit the two points equally well; set the points onto one of them"
+            return Reason(Cause.AMBIGUOUS, text)
+    return None
+
+
+def _nothing(image: GreyImage, anchors: FloatArray, share: float = 0.0) -> Reason:
+    """No line: because the picture is too dark or flat there, or because there is none."""
+    height, width = image.shape
+    low = np.clip(np.floor(anchors.min(axis=0)) - 20, 0, (width - 2, height - 2)).astype(int)
+    high = np.clip(np.ceil(anchors.max(axis=0)) + 20, low + 2, (width, height)).astype(int)
+    darkest, brightest = np.percentile(image[low[1] : high[1], low[0] : high[0]], [1, 99])
+    if brightest < DARK_GREY:
+        return Reason(Cause.DARK, f"the picture is dark between the points ({brightest:.0f} of 255); expose longer")
+    if brightest - darkest < FLAT_GREY:
+        text = f"the picture is flat between the points ({darkest:.0f} to {brightest:.0f} of 255); nothing can be seen"
+        return Reason(Cause.LOW_CONTRAST, text)
+    seen = f"the best line is seen along {share:.0%} of its length" if share else "no line leads from one to the other"
+    return Reason(Cause.NO_CONDUCTOR, f"no conductor stands out between the points: {seen}; check the two points")
+
+
+def _tail(hits: int, count: int, chance: float) -> float:
+    """Probability of at least ``hits`` of ``count`` independent blocks at this chance each (binomial)."""
+    return sum(math.comb(count, k) * chance**k * (1 - chance) ** (count - k) for k in range(hits, count + 1))
 
 
 def _apart(one: Curve, other: Curve) -> float:
     """Root mean square distance of two curves between the same points, px."""
     difference = one.evenly(17)[1] - other.evenly(17)[1]
     return float(np.sqrt((difference**2).sum(axis=1).mean()))
+
+
+def draw_fit(image: GreyImage, result: FitResult) -> NDArray[np.uint8]:
+    """The picture (height, width, 3; BGR) with the curve beside which one can see the wire.
+
+    Two thin lines run a few pixels either side of the wire, green where it is seen and fading to red where not; rings
+    mark the ends, and the reason stands at the top where nothing was found.
+    """
+    canvas = np.asarray(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR), dtype=np.uint8)
+    scale = max(0.5, image.shape[1] / 1600)
+    if not result.found:
+        words = "; ".join(f"{reason.cause}: {reason.text}" for reason in result.reasons)
+        _write(canvas, words, scale)
+        return canvas
+    tangent = np.gradient(result.points, axis=0)
+    tangent /= np.maximum(np.linalg.norm(tangent, axis=1, keepdims=True), 1e-9)
+    normal = np.stack([-tangent[:, 1], tangent[:, 0]], axis=1)
+    gap, line = 6.0 * scale, max(1, round(scale))
+    for side in (-gap, gap):
+        track = np.round((result.points + side * normal) * 16).astype(np.int32)
+        for index in range(len(track) - 1):
+            sure = float(result.confidence[index : index + 2].mean())
+            colour = (40, round(60 + 180 * sure), round(240 - 200 * sure))
+            cv2.line(canvas, track[index].tolist(), track[index + 1].tolist(), colour, line, cv2.LINE_AA, 4)
+    for point in (result.points[0], result.points[-1]):
+        at = np.round(point * 16).astype(np.int32).tolist()
+        cv2.circle(canvas, at, round(16 * 9 * scale), (0, 220, 255), line, cv2.LINE_AA, 4)
+    _write(canvas, f"visible {result.visible_share:.0%}, residual {result.residual_px:.2f} px", scale)
+    return canvas
+
+
+def _write(canvas: NDArray[np.uint8], words: str, scale: float) -> None:
+    at = (round(10 * scale), round(24 * scale))
+    for colour, thick in (((0, 0, 0), 3), ((255, 255, 255), 1)):
+        cv2.putText(canvas, words, at, cv2.FONT_HERSHEY_SIMPLEX, 0.5 * scale, colour, thick, cv2.LINE_AA)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from sagnode.geometry.camera import FloatArray
 from sagnode.match.fit_curve import Curve, Prior, adjust
 from sagnode.match.fit_follow import KERNELS, block_length
-from sagnode.match.localise import localise
+from sagnode.match.localise import Blocks, localise
 from sagnode.match.ribbon import normals
 
 HALF_RANGES_PX = (3.0, 2.5, 2.0, 2.0)
@@ -20,6 +20,14 @@ ORDERS = 5
 """Orders of slow departure from the Bézier (lens distortion, weights, splices) that are tried."""
 BEND_PX = 3.0
 """Typical size of the first of them for a chord of a thousand pixels."""
+SEARCH_PX = 3.0
+"""Half range in which the best line must lie on the curve."""
+ON_PX = 0.5
+MOST_ON_PX = 1.0
+ALIKE = 2.0
+"""Greatest ratio of the contrasts of neighbouring blocks of one wire."""
+SHIFTS_PX = (-33.0, -25.0, -18.0, -12.0, 12.0, 18.0, 25.0, 33.0)
+"""Where the curve is laid beside itself to learn how often chance looks like a wire."""
 BIWEIGHT = 4.0
 """Tukey's constant, standard deviations: a block further off than this is another thing."""
 
@@ -31,16 +39,18 @@ class Refined:
     Attributes:
         curve: in pixels of the picture.
         fraction: arc fractions of the blocks (M,).
-        rest: offset of the wire from the curve, px (M,); NaN where none was seen.
-        agrees: blocks that lie where the curve does, within what they and the model are unsure of (M,).
-        residual_px: root mean square of the rest over those; infinite without any.
+        sure: blocks in which the best line across lies on the curve and goes on next door (M,).
+        residual_px: root mean square distance of the wire from the curve in those; infinite without any.
+        by_chance: share of sure blocks on the same curve laid beside itself.
+        contrast: median of wire less background in sure blocks, grey levels; 0 without any.
     """
 
     curve: Curve
     fraction: FloatArray
-    rest: FloatArray
-    agrees: NDArray[np.bool_]
+    sure: NDArray[np.bool_]
     residual_px: float
+    by_chance: float
+    contrast: float
 
 
 def refine(
@@ -70,31 +80,61 @@ def refine(
             fraction, offset, sigma = _measure(picture, bent, kernels, HALF_RANGES_PX[-1])
             bent, _ = _robust(bent, fraction, offset, sigma, bent_prior, ORDERS)
         curve = bent
-    fraction, offset, sigma = _measure(picture, curve, kernels, HALF_RANGES_PX[-1])
-    near = np.abs(offset) <= 3 * np.hypot(sigma, MODEL_PX) + 0.3
-    agrees = np.isfinite(offset) & near & (np.abs(offset) < 1.5)
-    residual = float(np.sqrt(np.mean(offset[agrees] ** 2))) if agrees.any() else float("inf")
-    return Refined(curve, fraction, offset, agrees, residual)
+    return _inspect(picture, curve, kernels)
+
+
+def _inspect(picture: NDArray[np.float32], curve: Curve, kernels: tuple[int, int]) -> Refined:
+    """Which blocks of the final curve show the wire, beside how many would by chance."""
+    blocks, count = _blocks(picture, curve, kernels, SEARCH_PX)
+    sure = _sure(blocks)
+    offset = blocks.offset[sure]
+    chance = [_sure(_blocks(picture, curve, kernels, SEARCH_PX, shift)[0]).mean() for shift in SHIFTS_PX]
+    return Refined(
+        curve=curve,
+        fraction=blocks.index / (count - 1),
+        sure=sure,
+        residual_px=float(np.sqrt(np.mean(offset**2))) if sure.any() else float("inf"),
+        by_chance=float(np.mean(chance)),
+        contrast=float(np.median(np.abs(blocks.contrast[sure]))) if sure.any() else 0.0,
+    )
+
+
+def _sure(blocks: Blocks) -> NDArray[np.bool_]:
+    """Blocks (M,) whose best line lies on the curve and has, in a block next to it, its sign and roughly its contrast.
+
+    Texture has lines everywhere, but not on the curve, and not the same ones from block to block.
+    """
+    on = blocks.valid & (np.abs(blocks.offset) <= np.minimum(ON_PX + 2 * blocks.sigma, MOST_ON_PX))
+    level = np.where(on, blocks.contrast, np.nan)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratio = np.log(level[1:] / level[:-1])
+        alike = np.abs(ratio) < np.log(ALIKE)
+    found: NDArray[np.bool_] = np.append(alike, False) | np.insert(alike, 0, False)
+    return found
+
+
+def _blocks(
+    picture: NDArray[np.float32], curve: Curve, kernels: tuple[int, int], half_range: float, shift: float = 0.0
+) -> tuple[Blocks, int]:
+    """Wire positions about a curve, or about the curve shifted along its normals; and its number of samples."""
+    length = curve.length()
+    count = max(16, int(length) + 1)
+    _, pixels = curve.evenly(count)
+    normal = normals(pixels)
+    (first, margin), (last, end_margin) = KERNELS[kernels[0]], KERNELS[kernels[1]]
+    width = np.linspace(first, last, count)
+    across = pixels + shift * normal
+    blocks = localise(
+        picture, across, normal, width, half_range, block_length(length), margin_px=min(margin, end_margin)
+    )
+    return blocks, count
 
 
 def _measure(
     picture: NDArray[np.float32], curve: Curve, kernels: tuple[int, int], half_range: float
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Arc fractions, offsets (NaN where nothing was seen) and their standard uncertainties (M,)."""
-    length = curve.length()
-    count = max(16, int(length) + 1)
-    _, pixels = curve.evenly(count)
-    (first, margin), (last, end_margin) = KERNELS[kernels[0]], KERNELS[kernels[1]]
-    width = np.linspace(first, last, count)
-    blocks = localise(
-        picture,
-        pixels,
-        normals(pixels),
-        width,
-        half_range,
-        block_length(length),
-        margin_px=min(margin, end_margin),
-    )
+    blocks, count = _blocks(picture, curve, kernels, half_range)
     return blocks.index / (count - 1), blocks.offset, blocks.sigma
 
 

@@ -201,9 +201,7 @@ def _score(
             place = np.where(held, (fan * height + row) * width + column, 0)
             strength = np.where(held, flat[place], 0)
             score[part] = strength.sum(axis=1, dtype=np.int64) / (255.0 * samples)
-            stations[part] = np.stack(
-                [_at(x, y, s) for s in np.linspace(0.1, 0.9, 8) * corridor.cells], axis=1
-            )
+            stations[part] = np.stack([_at(x, y, s) for s in np.linspace(0.1, 0.9, 8) * corridor.cells], axis=1)
     return score, stations
 
 
