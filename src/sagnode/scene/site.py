@@ -1,7 +1,7 @@
 """The demonstration's scene: what stands at ``sagnode/demo/site``, and the day that its frames show.
 
 ``span.toml`` is the survey and the source of every position. The true world differs from it by one draw of the stated
-uncertainties (``WORLD_SEED``); the landmarks' pixels in ``span.toml`` were clicked in the reference picture of that
+uncertainties (``SURVEY_SEED``); the landmarks' pixels in ``span.toml`` were clicked in the reference picture of that
 true world, with click errors drawn for it (:func:`clicked`).
 """
 
@@ -30,6 +30,10 @@ from sagnode.scene.spec import LandmarkKind, Moment, Scene, World
 from sagnode.scene.writer import encoded, write_day
 
 WORLD_SEED = 20260621
+"""Of the surroundings: clouds, trees, fields."""
+SURVEY_SEED = 1
+"""Of the survey's errors and the clicks. They are one draw, shared by every frame of the day; how often intervals hold
+the truth over many draws is measured by ``benchmarks/many_worlds.py``."""
 DAY_SEED = 41
 FIRST = datetime(2026, 6, 21, 0, 0, tzinfo=UTC)
 FRAMES = 48
@@ -90,7 +94,7 @@ def demo_site(directory: Path | None = None) -> Site:
     except (OSError, ValueError) as error:
         raise ConfigError(f"{base / 'span.toml'}: cannot be used: {error}", "see: sagnode config check") from error
     stated = load_intrinsics(base / surveyed.camera.intrinsics)
-    rng = generator(WORLD_SEED, "errors")
+    rng = generator(SURVEY_SEED, "errors")
     true = perturbed(surveyed, rng)
     lens = perturbed_intrinsics(stated, surveyed, rng)
     scene = Scene(surveyed, true, lens, WORLD, seed=WORLD_SEED)
@@ -113,7 +117,7 @@ def _reference(scene: Scene) -> Moment:
 
 def clicked(scene: Scene) -> dict[str, Pixel]:
     """Pixels at which somebody clicks the landmarks in the reference picture: the true ones with a click's error."""
-    rng = generator(WORLD_SEED, "clicks")
+    rng = generator(SURVEY_SEED, "clicks")
     points = np.array([m.position for m in scene.true.landmarks])
     pixels, _ = project(scene.intrinsics, scene.pose, points)
     noise = rng.standard_normal(pixels.shape) * np.array([[m.pixel_u_px] for m in scene.surveyed.landmarks])
