@@ -14,7 +14,7 @@ from sagnode.calibrate.files import load_intrinsics
 from sagnode.capture.images import read_grey
 from sagnode.config.node import Measure, Method
 from sagnode.config.span import Conductor, Ground, Limits, Span
-from sagnode.errors import ConfigError
+from sagnode.errors import ConfigError, FrameError
 from sagnode.estimate.joint import Survey
 from sagnode.geometry.camera import FloatArray, Intrinsics, Pose, rotation_from_angles
 from sagnode.geometry.ground import GroundProfile
@@ -79,7 +79,10 @@ def load_site(span: Span, measure: Measure | None = None) -> Site:
     )
     patches = None
     if camera.reference_image is not None:
-        reference = read_grey(camera.reference_image)
+        try:
+            reference = read_grey(camera.reference_image)
+        except FrameError as error:
+            raise ConfigError(f"camera.reference_image: {error.what}", error.remedy) from error
         if reference.shape != (intrinsics.height, intrinsics.width):
             raise ConfigError(
                 f"camera.reference_image: {camera.reference_image} is {reference.shape[1]}x{reference.shape[0]},"

@@ -9,6 +9,7 @@ import pytest
 
 from sagnode.calibrate.files import save_intrinsics
 from sagnode.config.node import Measure
+from sagnode.errors import ConfigError
 from sagnode.geometry.camera import project
 from sagnode.measurement import ConductorMeasurement
 from sagnode.pipeline import load_site, measure_burst
@@ -122,6 +123,17 @@ def test_a_knocked_camera_is_refused(scene_and_moment: tuple[Scene, Moment], sit
     causes = {r.cause for m in measurements for r in m.reasons}
     assert all(m.validity is Validity.INVALID for m in measurements)
     assert causes & {Cause.CAMERA_MOVED, Cause.LANDMARKS_LOST}
+
+
+def test_a_missing_reference_picture_is_a_fault_of_the_configuration(
+    scene_and_moment: tuple[Scene, Moment], tmp_path: Path
+) -> None:
+    scene, _ = scene_and_moment
+    lens = tmp_path / "camera.yaml"
+    save_intrinsics(lens, scene.intrinsics)
+    camera = scene.surveyed.camera.model_copy(update={"intrinsics": lens, "reference_image": tmp_path / "none.png"})
+    with pytest.raises(ConfigError, match="reference_image.*none.png"):
+        load_site(scene.surveyed.model_copy(update={"camera": camera}))
 
 
 def test_without_undistortion_the_lens_is_taken_for_perfect(
