@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from sagnode.capture.port import GreyImage
 from sagnode.geometry.camera import FloatArray
 from sagnode.match.fit_curve import Curve
-from sagnode.match.fit_follow import LEVEL_PX, follow, pyramid
+from sagnode.match.fit_follow import FIRST, LEVEL_PX, REST, follow, pyramid
 from sagnode.match.fit_judge import Verdict, judge
 from sagnode.match.fit_refine import Refined, refine
 from sagnode.match.fit_search import search
@@ -30,13 +30,17 @@ SHORTEST_PX = 40.0
 """A chord shorter than this holds too few blocks to tell a wire from chance."""
 FEWEST_POINTS = 60
 CANDIDATES = 10
+FOLLOWED = 5
 JUDGED = 3
+"""How many arcs are taken over from the map, from the first ribbons, and from the last."""
 LEAST_SHARE = 0.5
 """Share of the blocks in which the wire must be seen."""
 LONGEST_END = 0.25
 """Greatest share at either end in which no wire is seen: beyond it the curve is a guess."""
 CHANCE = 1e-5
 """Greatest probability that as many blocks look like the wire by chance."""
+APART_PX = 3.0
+"""Distance at which two curves are two wires and not one."""
 DARK_GREY = 12
 FLAT_GREY = 3
 SEEN_IF_THERE = 0.92
@@ -82,7 +86,8 @@ class Candidate:
     curve: Curve
     refined: Refined
     verdict: Verdict
-    off_anchors_px: float
+    off_anchors: float
+    """Distance of its ends from the points given, in standard uncertainties of these."""
 
     @property
     def share(self) -> float:
@@ -92,7 +97,7 @@ class Candidate:
     @property
     def merit(self) -> float:
         """What candidates are compared by: seen share, how clearly, and how far the points given were missed."""
-        return self.share + self.verdict.strength / 30 - 0.005 * self.off_anchors_px**2
+        return self.share + self.verdict.strength / 30 - 0.005 * self.off_anchors**2
 
 
 def fit_between(
@@ -153,17 +158,16 @@ def candidates(image: GreyImage, anchors: FloatArray, slack: float) -> list[Cand
     if not arcs:
         return []
     pictures = pyramid(image, [arc.curve for arc in arcs], max(1.0, chord / LEVEL_PX))
-    followed: list[tuple[float, Curve]] = []
-    for arc in arcs:
-        curve, total = arc.curve, 0.0
-        for level, picture in enumerate(pictures):
-            curve, total = follow(picture, curve, anchors, slack, level)
-        if all(_apart(curve, other) > 1.0 for _, other in followed):
-            followed.append((total, curve))
-    followed.sort(key=lambda one: -one[0])
+    rough = [follow(pictures[0], arc.curve, anchors, slack, 0, FIRST) for arc in arcs]
+    followed = []
+    for curve, _ in _distinct(rough, 3.0)[:FOLLOWED]:
+        here, total = follow(pictures[0], curve, anchors, slack, 0, REST)
+        for level, picture in enumerate(pictures[1:], start=1):
+            here, total = follow(picture, here, anchors, slack, level)
+        followed.append((here, total))
     finest = pictures[-1]
     found = []
-    for _, curve in followed[:JUDGED]:
+    for curve, _ in _distinct(followed, 1.0)[:JUDGED]:
         here = curve.moved(finest.origin)
         verdict = judge(finest.grey, here)
         refined = refine(finest.grey, here, verdict.kernels, anchors - finest.origin, slack)
@@ -171,6 +175,15 @@ def candidates(image: GreyImage, anchors: FloatArray, slack: float) -> list[Cand
         off = float(np.linalg.norm(final.evenly(2)[1] - anchors) / slack)
         found.append(Candidate(final, refined, verdict, off))
     return sorted(found, key=lambda one: -one.merit)
+
+
+def _distinct(curves: list[tuple[Curve, float]], apart_px: float) -> list[tuple[Curve, float]]:
+    """Curves with their totals, best first, without those that lie on a better one."""
+    kept: list[tuple[Curve, float]] = []
+    for curve, total in sorted(curves, key=lambda one: -one[1]):
+        if all(_apart(curve, other) > apart_px for other, _ in kept):
+            kept.append((curve, total))
+    return kept
 
 
 def visibility(sure: NDArray[np.bool_], by_chance: float) -> FloatArray:
@@ -216,12 +229,17 @@ def _doubt(image: GreyImage, anchors: FloatArray, best: Candidate) -> Reason | N
 
 
 def _rival(best: Candidate, others: list[Candidate]) -> Reason | None:
-    """Another curve that is as good and goes elsewhere."""
+    """Another curve that keeps apart from the best, is as near to the points, and as well seen where it is apart."""
     for other in others:
-        apart = _apart(best.curve, other.curve)
-        if apart > 4.0 and other.merit > best.merit - 0.05:
-            text = f"two lines {apart:.0f} px apart fit the two points equally well; set the points onto one of them"
-            return Reason(Cause.AMBIGUOUS, text)
+        between = best.curve.evenly(65)[1][None] - other.curve.evenly(65)[1][:, None]
+        distance = np.sqrt((between**2).sum(axis=2)).min(axis=1)
+        apart = np.interp(other.refined.fraction, np.linspace(0, 1, 65), distance) > APART_PX
+        there = np.interp(best.refined.fraction, other.refined.fraction, apart.astype(float)) > 0.5
+        if apart.mean() < 0.4 or not there.any() or other.off_anchors > best.off_anchors + 1.0:
+            continue
+        if other.refined.sure[apart].mean() > best.refined.sure[there].mean() - 0.05:
+            text = f"two lines {np.median(distance):.0f} px apart fit the two points equally well"
+            return Reason(Cause.AMBIGUOUS, f"{text}; set the points onto one of them")
     return None
 
 

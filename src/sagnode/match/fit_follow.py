@@ -40,6 +40,8 @@ LEVEL_PX = 900.0
 """Length of a chord on the coarsest level; longer ones are shrunk to it."""
 BOWS = 2
 """So many of the first ribbons of a level are searched for a parabola, the others for any smooth path."""
+FIRST, REST, EVERY = slice(BOWS), slice(BOWS, None), slice(None)
+"""Passes of a level: those that search for parabolas, those that follow, and both."""
 BEND = 0.4
 """Typical difference of the offsets of neighbouring blocks, px of the level."""
 MOST = 6.0
@@ -159,6 +161,8 @@ def polarities(signed: FloatArray, inside: NDArray[np.bool_]) -> list[FloatArray
 
 def _row_median(values: FloatArray, inside: NDArray[np.bool_]) -> FloatArray:
     """Median of each row of values (M, K) over its cells inside the frame; 0 where there are none."""
+    if inside.all():
+        return np.asarray(np.median(values, axis=1))
     kept = np.where(inside, values, np.nan)
     kept[~inside.any(axis=1)] = 0.0
     return np.asarray(np.nanmedian(kept, axis=1))
@@ -218,7 +222,9 @@ def best_path(
     return path.astype(np.float64), float(total.max())
 
 
-def follow(picture: Picture, curve: Curve, anchors: FloatArray, slack: float, level: int) -> tuple[Curve, float]:
+def follow(
+    picture: Picture, curve: Curve, anchors: FloatArray, slack: float, level: int, passes: slice = EVERY
+) -> tuple[Curve, float]:
     """Move a curve (in pixels of the frame) onto the wire seen in one picture of the pyramid.
 
     Args:
@@ -227,6 +233,7 @@ def follow(picture: Picture, curve: Curve, anchors: FloatArray, slack: float, le
         anchors: the points given (2, 2), px of the frame.
         slack: their standard uncertainty, px of the frame.
         level: number of the picture in the pyramid, 0 the coarsest.
+        passes: which of the level's ribbons to take.
 
     Returns:
         The moved curve, and the mean evidence along the last path less what its ends cost.
@@ -236,7 +243,7 @@ def follow(picture: Picture, curve: Curve, anchors: FloatArray, slack: float, le
     loose = max(slack * picture.scale, 0.7)
     prior = Prior(given, loose)
     total, path = 0.0, np.zeros(1)
-    for passed, half_range in enumerate(RANGES[min(level, 1)]):
+    for passed, half_range in list(enumerate(RANGES[min(level, 1)]))[passes]:
         seen = look(picture.grey, here, half_range)
         costs = [0.5 * ((seen.offsets - _anchor_offset(here, given, i)) / loose) ** 2 for i in (0, 1)]
         find = best_bow if passed < BOWS - level else best_path

@@ -56,24 +56,20 @@ def judge(picture: NDArray[np.float32], curve: Curve) -> Verdict:
     middle = np.abs(seen.offsets) <= TOLERANCE_PX
     here_inside = inside[:, len(seen.offsets) // 2]
     count = max(1, int(here_inside.sum()))
-    best: tuple[float, FloatArray, FloatArray] | None = None
-    rivals = []
-    for evidence in polarities(signed, inside):
-        here = np.where(here_inside, evidence[:, middle].max(axis=1), 0.0)
-        if best is None or here.sum() > best[0]:
-            best = (float(here.sum()), here, evidence)
-        rivals.append(_rivals(seen.fraction, evidence, seen.offsets, count))
-    assert best is not None
-    total, here, evidence = best
+    options = polarities(signed, inside)
+    seen_here = [np.where(here_inside, evidence[:, middle].max(axis=1), 0.0) for evidence in options]
+    chosen = int(np.argmax([here.sum() for here in seen_here]))
+    here, evidence = seen_here[chosen], options[chosen]
+    total = float(here.sum())
+    others = np.array(_rivals(seen.fraction, evidence, seen.offsets, count))
     beside = [
-        np.where(part.any(axis=1), np.where(part, evidence[:, chosen], -9.0).max(axis=1), np.nan)
-        for chosen in (np.abs(seen.offsets - shift) <= TOLERANCE_PX for shift in _both(SHIFTS_PX))
-        for part in (inside[:, chosen],)
+        np.where(part.any(axis=1), np.where(part, evidence[:, columns], -9.0).max(axis=1), np.nan)
+        for columns in (np.abs(seen.offsets - shift) <= TOLERANCE_PX for shift in _both(SHIFTS_PX))
+        for part in (inside[:, columns],)
     ]
     known = np.isfinite(beside)
     beaten = (np.nan_to_num(np.array(beside), nan=9.0) < here).sum(axis=0)
     rank = beaten / np.maximum(known.sum(axis=0), 1)
-    others = np.max(rivals, axis=0)
     centre = float(np.median(others))
     spread = 1.4826 * float(np.median(np.abs(others - centre)))
     return Verdict(

@@ -9,16 +9,18 @@ from numpy.typing import NDArray
 
 from sagnode.geometry.camera import FloatArray
 from sagnode.match.fit_curve import Curve, Prior, adjust
-from sagnode.match.fit_follow import KERNELS, block_length
+from sagnode.match.fit_follow import KERNELS, MOST, best_path, block_length, look, polarities
 from sagnode.match.localise import Blocks, localise
 from sagnode.match.ribbon import normals
 
 HALF_RANGES_PX = (3.0, 2.5, 2.0, 2.0)
 MODEL_PX = 0.2
 """Standard deviation of what no model follows: strands, twist, compression, clouds behind."""
-ORDERS = 5
+ORDERS = 9
 """Orders of slow departure from the Bézier (lens distortion, weights, splices) that are tried."""
-BEND_PX = 3.0
+BENT_RANGE_PX = 10.0
+"""How far the wire may depart from the Bézier."""
+BEND_PX = 4.0
 """Typical size of the first of them for a chord of a thousand pixels."""
 SEARCH_PX = 3.0
 """Half range in which the best line must lie on the curve."""
@@ -68,17 +70,15 @@ def refine(
     plain = Prior(anchors, slack)
     for half_range in HALF_RANGES_PX:
         fraction, offset, sigma = _measure(picture, curve, kernels, half_range)
-        curve, _ = _robust(curve, fraction, offset, sigma, plain, 0)
-    fraction, offset, sigma = _measure(picture, curve, kernels, HALF_RANGES_PX[-1])
-    curve, cost = _robust(curve, fraction, offset, sigma, plain, 0)
+        curve = _robust(curve, fraction, offset, sigma, plain, 0)
     chord = float(np.linalg.norm(anchors[1] - anchors[0]))
-    bent_prior = Prior(anchors, slack, bend=BEND_PX * min(1.0, chord / 1000))
-    bent, bent_cost = _robust(curve, fraction, offset, sigma, bent_prior, ORDERS)
+    bending = Prior(anchors, slack, bend=BEND_PX * max(0.2, min(1.0, chord / 1000)))
+    bent = _bent(picture, curve, bending)
+    for half_range in HALF_RANGES_PX[1:]:
+        fraction, offset, sigma = _measure(picture, bent, kernels, half_range)
+        bent = _robust(bent, fraction, offset, sigma, bending, ORDERS)
     # Bayesian information criterion: each order must earn the logarithm of the number of blocks
-    if cost - bent_cost > ORDERS * np.log(max(2, len(fraction))):
-        for _ in range(2):
-            fraction, offset, sigma = _measure(picture, bent, kernels, HALF_RANGES_PX[-1])
-            bent, _ = _robust(bent, fraction, offset, sigma, bent_prior, ORDERS)
+    if _cost(picture, curve, kernels) - _cost(picture, bent, kernels) > ORDERS * np.log(max(2, len(fraction))):
         curve = bent
     return _inspect(picture, curve, kernels)
 
@@ -138,19 +138,39 @@ def _measure(
     return blocks.index / (count - 1), blocks.offset, blocks.sigma
 
 
+def _bent(picture: NDArray[np.float32], curve: Curve, prior: Prior) -> Curve:
+    """The curve with the departure that the most likely smooth path in a wide ribbon asks for."""
+    seen = look(picture, curve, BENT_RANGE_PX)
+    free = np.zeros(len(seen.offsets))
+    paths = [(*best_path(seen.fraction, e, free, free), e) for e in polarities(seen.signed, seen.inside)]
+    path, _, evidence = max(paths, key=lambda one: one[1])
+    column = np.rint(path).astype(np.intp)
+    strength = np.maximum(evidence[np.arange(len(path)), column], 0.0) / MOST
+    bent, _ = adjust(curve, seen.fraction, seen.offsets[column], strength / 0.5**2, prior, ORDERS)
+    return bent
+
+
+def _cost(picture: NDArray[np.float32], curve: Curve, kernels: tuple[int, int]) -> float:
+    """Sum over the blocks of Tukey's loss of the wire's distance from a curve; a block without a wire costs most."""
+    _, offset, sigma = _measure(picture, curve, kernels, SEARCH_PX)
+    seen = np.isfinite(offset)
+    squared = np.where(seen, offset, 0.0) ** 2 / (np.where(seen, sigma, 1.0) ** 2 + MODEL_PX**2) / BIWEIGHT**2
+    share = np.where(seen, np.minimum(squared, 1.0), 1.0)
+    return float(BIWEIGHT**2 / 3 * (1 - (1 - share) ** 3).sum())
+
+
 def _robust(
     curve: Curve, fraction: FloatArray, offset: FloatArray, sigma: FloatArray, prior: Prior, orders: int
-) -> tuple[Curve, float]:
-    """Curve through the offsets by iteratively reweighted least squares (Tukey), and its robust cost."""
+) -> Curve:
+    """Curve through the offsets by iteratively reweighted least squares (Tukey)."""
     seen = np.isfinite(offset)
     variance = np.where(seen, sigma, 1.0) ** 2 + MODEL_PX**2
     measured = np.where(seen, offset, 0.0)
     weight = np.where(seen, 1.0, 0.0)
-    moved, cost = curve, 0.0
+    moved = curve
     # wide at first, so that a curve a pixel off is not taken for a good one with outliers
     for widen in (5.0, 3.0, 2.0, 1.0, 1.0):
         moved, predicted = adjust(curve, fraction, measured, weight / variance, prior, orders)
         squared = np.minimum((measured - predicted) ** 2 / variance / (BIWEIGHT * widen) ** 2, 1.0)
         weight = np.where(seen, (1 - squared) ** 2, 0.0)
-        cost = float(np.sum(np.where(seen, BIWEIGHT**2 / 3 * (1 - (1 - squared) ** 3), 0.0)))
-    return moved, cost
+    return moved

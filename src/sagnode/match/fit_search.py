@@ -9,6 +9,7 @@ direction that it has there.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
@@ -18,6 +19,9 @@ from sagnode.capture.port import GreyImage
 from sagnode.geometry.camera import FloatArray
 from sagnode.match.fit_curve import Curve, shares
 
+Grey = NDArray[Any]
+"""Single precision, as OpenCV's own type hints cannot say."""
+
 LONGEST_CELLS = 420
 """Chord length on the map; longer chords are shrunk to this."""
 BOW = 0.45
@@ -26,8 +30,9 @@ STRETCH = 13
 """Averaging along the line, cells."""
 FAN_DEG = 10.0
 STEEPEST_DEG = 70.0
-SIDES = (2, 4, 8)
-"""Distances to the sides compared with, cells: thin wires, thick or doubled ones, bundles."""
+FINE_SIDE = 2
+HALF_SIDES = (2, 4)
+"""Distances to the sides compared with, cells: thin wires; on the map of half the resolution thick ones and bundles."""
 FLOOR_GREY = 0.7
 """Structure below this is 8-bit rounding and compression, grey levels."""
 STEP = 4.0
@@ -49,7 +54,7 @@ class Level:
         matrix: (2, 3) from cells to pixels of the frame.
     """
 
-    grey: NDArray[np.float32]
+    grey: Grey
     inside: NDArray[np.bool_]
     origin: FloatArray
     cells: float
@@ -115,25 +120,31 @@ def _turning(size: tuple[int, int], angle_deg: float) -> tuple[FloatArray, tuple
     return np.column_stack([turn, -low]), (int(span[0]), int(span[1]))
 
 
-def _level_lines(grey: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Strength of level lines of either sign relative to their surroundings; 0 where there is none."""
+def _level_lines(grey: Grey) -> Grey:
+    """Strength of level lines of either sign relative to their surroundings; 0 or less where there is none."""
     height, width = grey.shape
     along = cv2.blur(grey, (STRETCH, 1))
-    best = np.zeros_like(grey)
-    reach = max(SIDES)
-    for side in SIDES:
-        centre = along if side < 4 else cv2.blur(along, (1, side // 2 + 1))
-        framed = cv2.copyMakeBorder(centre, reach, reach, 0, 0, cv2.BORDER_REPLICATE)
-        up = cv2.subtract(framed[reach - side : reach - side + height], centre)
-        down = cv2.subtract(framed[reach + side : reach + side + height], centre)
-        lower, upper = cv2.min(up, down), cv2.max(up, down)
-        line = cv2.max(lower, cv2.multiply(upper, -1.0))
-        # the surroundings are smooth: a quarter of the resolution holds them
-        quarter = cv2.resize(cv2.absdiff(line, 0.0), (width // 4, height // 4), interpolation=cv2.INTER_AREA)
-        around = cv2.blur(quarter, (11, 11)) + np.float32(FLOOR_GREY)
-        line = cv2.multiply(line, cv2.resize(1 / around, (width, height), interpolation=cv2.INTER_LINEAR))
-        best = cv2.max(best, line)
-    return best
+    best = _relative(along, FINE_SIDE)
+    half = cv2.resize(along, (width // 2, height // 2), interpolation=cv2.INTER_AREA)
+    coarse = _relative(half, HALF_SIDES[0])
+    for side in HALF_SIDES[1:]:
+        cv2.max(coarse, _relative(cv2.blur(half, (1, side - 1)), side), dst=coarse)
+    return np.asarray(cv2.max(best, cv2.resize(coarse, (width, height), interpolation=cv2.INTER_LINEAR)))
+
+
+def _relative(centre: Grey, side: int) -> Grey:
+    """How far the cells stand out from those ``side`` above and below, relative to what does so around them."""
+    height, width = centre.shape
+    framed = cv2.copyMakeBorder(centre, side, side, 0, 0, cv2.BORDER_REPLICATE)
+    up = cv2.subtract(framed[:height], centre)
+    down = cv2.subtract(framed[2 * side :], centre)
+    upper = cv2.max(up, down)
+    lower = cv2.min(up, down, dst=up)
+    line = cv2.max(lower, np.negative(upper, out=upper), dst=down)
+    # the surroundings are smooth: a quarter of the resolution holds them
+    quarter = cv2.resize(np.abs(line), (max(1, width // 4), max(1, height // 4)), interpolation=cv2.INTER_AREA)
+    around = 1 / (cv2.blur(quarter, (11, 11)) + np.float32(FLOOR_GREY))
+    return np.asarray(cv2.multiply(line, cv2.resize(around, (width, height), interpolation=cv2.INTER_LINEAR)))
 
 
 def search(image: GreyImage, start: FloatArray, end: FloatArray, count: int) -> list[Candidate]:
@@ -213,7 +224,7 @@ def _spread(samples: int, weight: float) -> FloatArray:
     return np.interp(x, along, t)
 
 
-def _at(x: NDArray[np.float32], y: NDArray[np.float32], station: float) -> FloatArray:
+def _at(x: Grey, y: Grey, station: float) -> FloatArray:
     """Heights (G,) of arcs x, y (G, S) at one station, by the nearest sample."""
     nearest = np.argmin(np.abs(x - station), axis=1)
     return np.asarray(y[np.arange(len(y)), nearest], dtype=np.float64)
