@@ -133,10 +133,11 @@ def _conductor(conductor: Conductor, span: Span, intrinsics: Intrinsics, pose: P
         swing_u=float(np.radians(span.swing.prior_u_deg)),
     )
     bundle = conductor.bundle_spacing_m if conductor.sub_conductors > 1 else 0.0
-    data = conductor.stringing
-    stringing = data and Stringing(
-        data.temperature_c, data.tension_n, data.modulus_gpa * 1e9 * data.section_mm2 * 1e-6, data.expansion_per_k
-    )
+    stringing = None
+    if conductor.stringing is not None:
+        data = conductor.stringing
+        stiffness = data.modulus_gpa * 1e9 * data.section_mm2 * 1e-6
+        stringing = Stringing(data.temperature_c, data.tension_n, stiffness, data.expansion_per_k)
     return SiteConductor(
         id=conductor.id,
         phase=conductor.phase,

@@ -132,7 +132,7 @@ def test_a_missing_reference_picture_is_a_fault_of_the_configuration(
     lens = tmp_path / "camera.yaml"
     save_intrinsics(lens, scene.intrinsics)
     camera = scene.surveyed.camera.model_copy(update={"intrinsics": lens, "reference_image": tmp_path / "none.png"})
-    with pytest.raises(ConfigError, match="reference_image.*none.png"):
+    with pytest.raises(ConfigError, match=r"reference_image.*none\.png"):
         load_site(scene.surveyed.model_copy(update={"camera": camera}))
 
 
