@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 from sagnode.capture.port import GreyImage
 from sagnode.geometry.camera import FloatArray
 from sagnode.match.fit_curve import Curve
-from sagnode.match.fit_follow import FIRST, LEVEL_PX, REST, follow, pyramid
+from sagnode.match.fit_follow import LEVEL_PX, follow, pyramid
 from sagnode.match.fit_judge import Verdict, judge
-from sagnode.match.fit_refine import Refined, refine
+from sagnode.match.fit_refine import Refined, refine, seen_share
 from sagnode.match.fit_search import search
 from sagnode.quality import Cause, Reason
 
@@ -30,9 +30,11 @@ SHORTEST_PX = 40.0
 """A chord shorter than this holds too few blocks to tell a wire from chance."""
 FEWEST_POINTS = 60
 CANDIDATES = 10
-FOLLOWED = 5
+FEWEST = 4
 JUDGED = 3
-"""How many arcs are taken over from the map, from the first ribbons, and from the last."""
+"""How many arcs are taken over from the map, how many at least are followed, and how many are judged."""
+CLEAR_SHARE = 0.8
+"""An arc along which so much of a wire is seen ends the search for others, once the fewest were followed."""
 LEAST_SHARE = 0.5
 """Share of the blocks in which the wire must be seen."""
 LONGEST_END = 0.25
@@ -158,16 +160,18 @@ def candidates(image: GreyImage, anchors: FloatArray, slack: float) -> list[Cand
     if not arcs:
         return []
     pictures = pyramid(image, [arc.curve for arc in arcs], max(1.0, chord / LEVEL_PX))
-    rough = [follow(pictures[0], arc.curve, anchors, slack, 0, FIRST) for arc in arcs]
-    followed = []
-    for curve, _ in _distinct(rough, 3.0)[:FOLLOWED]:
-        here, total = follow(pictures[0], curve, anchors, slack, 0, REST)
-        for level, picture in enumerate(pictures[1:], start=1):
-            here, total = follow(picture, here, anchors, slack, level)
-        followed.append((here, total))
+    followed: list[tuple[Curve, float]] = []
+    for number, arc in enumerate(arcs):
+        curve = follow(pictures[0], arc.curve, anchors, slack, 0)
+        followed.append((curve, seen_share(pictures[0], curve)))
+        if number + 1 >= FEWEST and max(share for _, share in followed) > CLEAR_SHARE:
+            break
     finest = pictures[-1]
     found = []
-    for curve, _ in _distinct(followed, 1.0)[:JUDGED]:
+    for coarse, _ in _distinct(followed, 1.0)[:JUDGED]:
+        curve = coarse
+        for level, picture in enumerate(pictures[1:], start=1):
+            curve = follow(picture, curve, anchors, slack, level)
         here = curve.moved(finest.origin)
         verdict = judge(finest.grey, here)
         refined = refine(finest.grey, here, verdict.kernels, anchors - finest.origin, slack)

@@ -40,8 +40,6 @@ LEVEL_PX = 900.0
 """Length of a chord on the coarsest level; longer ones are shrunk to it."""
 BOWS = 2
 """So many of the first ribbons of a level are searched for a parabola, the others for any smooth path."""
-FIRST, REST, EVERY = slice(BOWS), slice(BOWS, None), slice(None)
-"""Passes of a level: those that search for parabolas, those that follow, and both."""
 BEND = 0.4
 """Typical difference of the offsets of neighbouring blocks, px of the level."""
 MOST = 6.0
@@ -176,8 +174,8 @@ def best_bow(
     It sums over the whole length before it decides, so it finds wires that no single block shows.
     """
     blocks, columns = evidence.shape
-    stride = 1 if columns < 24 else 3
-    wide = cv2.blur(evidence, (stride, 1), borderType=cv2.BORDER_REPLICATE)
+    stride = max(1, columns // 12)
+    wide = cv2.blur(evidence, (min(stride, 3), 1), borderType=cv2.BORDER_REPLICATE)
     places = np.arange(0, columns, stride)
     first, middle, last = (axis.ravel() for axis in np.meshgrid(places, places, places, indexing="ij"))
     u = fraction
@@ -222,9 +220,7 @@ def best_path(
     return path.astype(np.float64), float(total.max())
 
 
-def follow(
-    picture: Picture, curve: Curve, anchors: FloatArray, slack: float, level: int, passes: slice = EVERY
-) -> tuple[Curve, float]:
+def follow(picture: Picture, curve: Curve, anchors: FloatArray, slack: float, level: int) -> Curve:
     """Move a curve (in pixels of the frame) onto the wire seen in one picture of the pyramid.
 
     Args:
@@ -233,17 +229,15 @@ def follow(
         anchors: the points given (2, 2), px of the frame.
         slack: their standard uncertainty, px of the frame.
         level: number of the picture in the pyramid, 0 the coarsest.
-        passes: which of the level's ribbons to take.
 
     Returns:
-        The moved curve, and the mean evidence along the last path less what its ends cost.
+        The moved curve.
     """
     here = curve.moved(picture.origin, picture.scale)
     given = (anchors - picture.origin) * picture.scale
     loose = max(slack * picture.scale, 0.7)
     prior = Prior(given, loose)
-    total, path = 0.0, np.zeros(1)
-    for passed, half_range in list(enumerate(RANGES[min(level, 1)]))[passes]:
+    for passed, half_range in enumerate(RANGES[min(level, 1)]):
         seen = look(picture.grey, here, half_range)
         costs = [0.5 * ((seen.offsets - _anchor_offset(here, given, i)) / loose) ** 2 for i in (0, 1)]
         find = best_bow if passed < BOWS - level else best_path
@@ -251,19 +245,19 @@ def follow(
             (*find(seen.fraction, evidence, costs[0], costs[1]), evidence)
             for evidence in polarities(seen.signed, seen.inside)
         ]
-        path, total, evidence = max(found, key=lambda one: one[1])
+        path, _, evidence = max(found, key=lambda one: one[1])
         rows = np.arange(len(path))
         nearest = np.rint(path).astype(np.intp)
         strength = np.maximum(evidence[rows, nearest], 0.0)
         offset = seen.offsets[0] + STEP_PX * path
         # a block at the very edge of the ribbon has not found a summit
         precision = np.clip(strength / MOST, 0.0, 1.0) / 0.7**2
-        for _ in range(3):
+        for _ in range(2):
             moved, predicted = adjust(here, seen.fraction, offset, precision, prior)
             rest = offset - predicted
             precision = np.clip(strength / MOST, 0.0, 1.0) / 0.7**2 / (1 + (rest / 1.0) ** 2)
         here = moved
-    return here.moved(-picture.origin * picture.scale, 1 / picture.scale), total / len(path)
+    return here.moved(-picture.origin * picture.scale, 1 / picture.scale)
 
 
 def _anchor_offset(curve: Curve, anchors: FloatArray, end: int) -> float:

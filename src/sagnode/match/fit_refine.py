@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from sagnode.geometry.camera import FloatArray
 from sagnode.match.fit_curve import Curve, Prior, adjust
-from sagnode.match.fit_follow import KERNELS, MOST, best_path, block_length, look, polarities
+from sagnode.match.fit_follow import KERNELS, MOST, Picture, best_path, block_length, look, polarities
 from sagnode.match.localise import Blocks, localise
 from sagnode.match.ribbon import normals
 
@@ -81,6 +81,13 @@ def refine(
     if _cost(picture, curve, kernels) - _cost(picture, bent, kernels) > ORDERS * np.log(max(2, len(fraction))):
         curve = bent
     return _inspect(picture, curve, kernels)
+
+
+def seen_share(picture: Picture, curve: Curve) -> float:
+    """Share of the blocks of a curve (in pixels of the frame) that show a wire of any width, in one picture."""
+    here = curve.moved(picture.origin, picture.scale)
+    options = [(number, number) for number in range(len(KERNELS))]
+    return max(float(_sure(_blocks(picture.grey, here, kernels, SEARCH_PX)[0]).mean()) for kernels in options)
 
 
 def _inspect(picture: NDArray[np.float32], curve: Curve, kernels: tuple[int, int]) -> Refined:

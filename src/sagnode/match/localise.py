@@ -79,7 +79,7 @@ def _erf(x: FloatArray) -> FloatArray:
 
 
 def localise(
-    image: GreyImage,
+    image: AnyGrey,
     pixels: FloatArray,
     normal: FloatArray,
     width_px: ArrayLike,
@@ -91,7 +91,7 @@ def localise(
     """Measure the wire's offset across a curve in blocks along it.
 
     Args:
-        image: grey frame (height, width), 8 bit.
+        image: grey picture (height, width), 8 bit or single precision.
         pixels: the curve (N, 2), samples about 1 px apart.
         normal: its unit normals (N, 2).
         width_px: expected width of the wire, one value or (N,).
