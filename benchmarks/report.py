@@ -145,11 +145,11 @@ def plot(own: Sequence[Outcome], paper: Sequence[Outcome], worlds: Sequence[Outc
     errors = [
         (name, [100 * o.error("sag") / o.truth["sag"] for o in some if "sag" in o.estimates]) for name, some in named
     ]
-    for i, (name, values) in enumerate(errors):
+    for i, (_, values) in enumerate(errors):
         shown = np.clip(values, -60, 60)
         right.plot(shown, np.full(len(values), i) + np.linspace(-0.25, 0.25, len(values)), ".", ms=4)
-        right.text(62, i, f"{len(values)} told", va="center", fontsize=8)
-        del name
+        told = f"{len(values)} told"
+        right.text(1.01, i, told, va="center", fontsize=8, transform=right.get_yaxis_transform())
     right.set_yticks(range(len(errors)), [name for name, _ in errors])
     right.invert_yaxis()
     right.axvline(0, color="0.6", lw=0.8)
