@@ -7,6 +7,7 @@ import pytest
 from sagnode.geometry.camera import (
     Intrinsics,
     Pose,
+    distort,
     inside,
     project,
     projection_derivatives,
@@ -59,6 +60,13 @@ def test_undistort_inverts_distortion(intrinsics: Intrinsics) -> None:
     x, y = undistort(intrinsics, pixels[:, 0], pixels[:, 1])
     camera = (points - POSE.position) @ POSE.rotation.T
     np.testing.assert_allclose(np.stack([x, y]), (camera[:, :2] / camera[:, 2:]).T, atol=1e-9)
+
+
+def test_a_wide_fisheye_is_inverted_to_its_edge() -> None:
+    wide = Intrinsics(640, 480, 300.0, 300.0, 319.5, 239.5, (0.05, -0.01, 0.002, 0.0), "fisheye")
+    u, v = (grid.ravel() for grid in np.meshgrid(np.linspace(0, 639, 15), np.linspace(0, 479, 11)))
+    x, y = distort(wide, *undistort(wide, u, v))
+    np.testing.assert_allclose([x * 300.0 + 319.5, y * 300.0 + 239.5], [u, v], atol=1e-6)
 
 
 def test_points_behind_and_far_outside_the_lens_are_not_projected() -> None:

@@ -107,19 +107,32 @@ def distort(intrinsics: Intrinsics, x: FloatArray, y: FloatArray) -> tuple[Float
 
 
 def undistort(intrinsics: Intrinsics, u: FloatArray, v: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Normalised, undistorted coordinates of pixels, by fixed-point and Newton-like iteration (to about 1e-10)."""
+    """Normalised, undistorted coordinates of pixels, by Newton's method (to about 1e-10)."""
     xd = (u - intrinsics.cx) / intrinsics.fx
     yd = (v - intrinsics.cy) / intrinsics.fy
     if not any(intrinsics.distortion):
         return xd, yd
-    x, y = xd.copy(), yd.copy()
-    for _ in range(40):
+    x, y = xd, yd
+    if intrinsics.model == "fisheye":
+        # the distorted radius is nearly the angle from the axis
+        radius = np.maximum(np.hypot(xd, yd), 1e-12)
+        x, y = (c * np.tan(np.minimum(radius, 1.5)) / radius for c in (xd, yd))
+    for _ in range(30):
+        step = 1e-7 * (1 + np.hypot(x, y))
         ex, ey = distort(intrinsics, x, y)
-        dx, dy = xd - ex, yd - ey
-        x, y = x + dx, y + dy
-        if max(float(np.max(np.abs(dx), initial=0.0)), float(np.max(np.abs(dy), initial=0.0))) < 1e-12:
+        (ax, ay), (bx, by) = distort(intrinsics, x + step, y), distort(intrinsics, x, y + step)
+        xx, yx, xy, yy = (ax - ex) / step, (ay - ey) / step, (bx - ex) / step, (by - ey) / step
+        determinant = xx * yy - xy * yx
+        # where the polynomial folds back there is no way on; creep instead of jumping
+        determinant = np.where(np.abs(determinant) < 1e-3, 1.0, determinant)
+        rx, ry = xd - ex, yd - ey
+        dx, dy = (yy * rx - xy * ry) / determinant, (xx * ry - yx * rx) / determinant
+        limit = 0.5 * (1 + np.hypot(x, y))
+        scale = np.minimum(1.0, limit / np.maximum(np.hypot(dx, dy), 1e-300))
+        x, y = x + scale * dx, y + scale * dy
+        if float(np.max(np.hypot(dx, dy), initial=0.0)) < 1e-13:
             break
-    return x, y
+    return np.asarray(x), np.asarray(y)
 
 
 def field_radius(intrinsics: Intrinsics) -> float:
