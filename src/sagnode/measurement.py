@@ -4,11 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from sagnode.estimate.register import Registered
 from sagnode.geometry.camera import FloatArray
 from sagnode.message import Estimate
 from sagnode.quality import Reason, Validity
-from sagnode.site import Site
 
 
 @dataclass(frozen=True)
@@ -64,25 +62,3 @@ class ConductorMeasurement(FrameMeasurement):
 
     frames_used: int = 0
     frames_rejected: int = 0
-
-
-def refused(site: Site, reasons: list[Reason], registered: Registered | None = None) -> list[FrameMeasurement]:
-    """An invalid measurement of every measured conductor, all for the same reasons."""
-    landmarks = 0
-    residual = None
-    if registered is not None:
-        residual = registered.residual_px
-        landmarks = registered.tracked.count if registered.tracked is not None else 0
-    return [
-        FrameMeasurement(
-            conductor=conductor.id,
-            phase=conductor.phase,
-            validity=Validity.INVALID,
-            reasons=tuple(reasons),
-            method=site.method,
-            pose_residual_px=residual,
-            landmarks_used=landmarks,
-        )
-        for conductor in site.conductors
-        if conductor.measured
-    ]

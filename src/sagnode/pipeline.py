@@ -14,8 +14,8 @@ from sagnode.estimate.combine import combine_burst
 from sagnode.estimate.judge import judge, look
 from sagnode.estimate.locate import locate
 from sagnode.estimate.register import register
-from sagnode.estimate.tell import tell
-from sagnode.measurement import ConductorMeasurement, FrameMeasurement, refused
+from sagnode.estimate.tell import refused, tell
+from sagnode.measurement import ConductorMeasurement, FrameMeasurement
 from sagnode.reference.measure import measure_by_reference
 from sagnode.site import Site, load_site
 

@@ -15,11 +15,11 @@ from sagnode.capture.images import read_grey
 from sagnode.config.node import Measure, Method
 from sagnode.config.span import Conductor, Ground, Limits, Span
 from sagnode.errors import ConfigError, FrameError
-from sagnode.estimate.joint import Survey
 from sagnode.geometry.camera import FloatArray, Intrinsics, Pose, rotation_from_angles
 from sagnode.geometry.ground import GroundProfile
 from sagnode.geometry.quantities import Stringing
 from sagnode.match.landmarks import Patch, cut_patch
+from sagnode.survey import Survey
 
 
 @dataclass(frozen=True)

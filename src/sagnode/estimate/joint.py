@@ -1,97 +1,24 @@
 r"""The joint estimate: camera, attachments, sag and swing at once, maximum a posteriori.
 
-Unknowns θ, all small corrections to the survey but sag and swing::
-
-    0:3  turn of the camera, rad, camera frame        10:13  shift of attachment A, m
-    3:6  shift of the camera, m, site frame           13:16  shift of attachment B, m
-    6    relative change of the focal length          16     in-plane sag D, m
-    7:9  shift of the principal point, px             17     swing φ, rad
-    9    change of k1
-
-Observations: tracked landmarks (px), and offsets of the wire across the predicted curve (px). The survey's standard
-uncertainties are the prior. With J the derivatives and C the observations' covariances, Gauss-Newton steps with
-Levenberg damping minimise ``Σ rᵀC⁻¹r + (θ-θ₀)ᵀP⁻¹(θ-θ₀)``; the posterior covariance is ``(Σ JᵀC⁻¹J + P⁻¹)⁻¹``.
+The unknowns θ are those of :mod:`sagnode.survey`, whose standard uncertainties are the prior P. Observations are
+tracked landmarks and offsets of the wire across the predicted curve, px. With J their derivatives by θ and C their
+covariances, Gauss-Newton steps with Levenberg damping minimise ``Σ rᵀC⁻¹r + (θ-θ₀)ᵀP⁻¹(θ-θ₀)``; the posterior
+covariance is ``(Σ JᵀC⁻¹J + P⁻¹)⁻¹``.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from sagnode.geometry.camera import FloatArray, Intrinsics, Pose, project, projection_derivatives, turned
+from sagnode.geometry.camera import FloatArray, project, projection_derivatives
 from sagnode.geometry.conductor import conductor_points
-from sagnode.geometry.quantities import Shape
-
-CAMERA = slice(0, 10)
-ATTACHMENTS = slice(10, 16)
-SAG, SWING = 16, 17
-SIZE = 18
+from sagnode.survey import CAMERA, SAG, SIZE, SWING, Survey
 
 CORRELATED_PX = 0.06
 """Standard deviation of what neighbouring offsets share: background gradients, residuals of the lens model."""
 CORRELATION_LENGTH_PX = 60.0
-
-
-@dataclass(frozen=True)
-class Survey:
-    """What is known of camera and conductor before looking; every ``_u`` is a standard uncertainty."""
-
-    intrinsics: Intrinsics
-    pose: Pose
-    near: FloatArray
-    far: FloatArray
-    orientation_u: float
-    """rad"""
-    position_u: float
-    focal_u_rel: float
-    principal_point_u: float
-    distortion_u: float
-    attachment_u: float
-    sag_range: tuple[float, float]
-    swing_u: float
-    """rad"""
-
-    def prior_sigma(self) -> FloatArray:
-        """Standard uncertainties of θ (18,); sag has a prior so wide that it says nothing within its range."""
-        sigma = np.empty(SIZE)
-        sigma[0:3] = self.orientation_u
-        sigma[3:6] = self.position_u
-        sigma[6] = self.focal_u_rel
-        sigma[7:9] = self.principal_point_u
-        sigma[9] = self.distortion_u
-        sigma[ATTACHMENTS] = self.attachment_u
-        sigma[SAG] = 10 * (self.sag_range[1] - self.sag_range[0])
-        sigma[SWING] = self.swing_u
-        # what is stated as exactly known still needs a positive variance
-        return np.maximum(sigma, 1e-9)
-
-    def prior_mean(self) -> FloatArray:
-        """θ₀ (18,): the survey itself, sag in the middle of its range, no swing."""
-        mean = np.zeros(SIZE)
-        mean[SAG] = 0.5 * (self.sag_range[0] + self.sag_range[1])
-        return mean
-
-    def camera(self, theta: FloatArray) -> tuple[Intrinsics, Pose]:
-        """Camera at θ."""
-        base = self.intrinsics
-        d = base.distortion
-        if theta[9] and base.model == "pinhole":
-            d = (d[0] + theta[9], *d[1:]) if d else (float(theta[9]), 0.0, 0.0, 0.0)
-        scale = 1 + float(theta[6])
-        intrinsics = replace(
-            base,
-            fx=base.fx * scale,
-            fy=base.fy * scale,
-            cx=base.cx + float(theta[7]),
-            cy=base.cy + float(theta[8]),
-            distortion=d,
-        )
-        return intrinsics, turned(self.pose, theta[0:3], theta[3:6])
-
-    def shape(self, theta: FloatArray) -> Shape:
-        """Conductor at θ."""
-        return Shape(self.near + theta[10:13], self.far + theta[13:16], float(theta[SAG]), float(theta[SWING]))
 
 
 @dataclass(frozen=True)
@@ -153,7 +80,6 @@ class Solution:
     landmark_weight: FloatArray
     inflation: float
     converged: bool
-    budget_sources: tuple[str, ...] = field(default=())
 
 
 _STEPS = np.array([1e-3] * 6 + [1e-3, 1e-4])

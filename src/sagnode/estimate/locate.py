@@ -8,13 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sagnode.capture.port import GreyImage
-from sagnode.estimate.joint import ATTACHMENTS, SAG, SWING, CurveObservations, Solution, Survey, solve
+from sagnode.estimate.joint import CurveObservations, Solution, solve
 from sagnode.estimate.register import Registered, moved_survey
 from sagnode.geometry.camera import FloatArray
 from sagnode.match.refine import Observed, Sighting, Track, observe, runs_near, sight, trace
 from sagnode.match.ribbon import SIDE_OFFSET_PX, normals, pair_response
 from sagnode.match.templates import SAMPLES, STEP_PX, View, even_parameters, search
 from sagnode.site import Site, SiteConductor
+from sagnode.survey import ATTACHMENTS, SAG, SWING, Survey
 
 
 @dataclass(frozen=True)

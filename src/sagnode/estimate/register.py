@@ -7,11 +7,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sagnode.capture.port import GreyImage
-from sagnode.estimate.joint import LandmarkObservations, Solution, Survey, solve
+from sagnode.estimate.joint import LandmarkObservations, Solution, solve
 from sagnode.geometry.camera import FloatArray
 from sagnode.match.landmarks import Tracked, track
 from sagnode.quality import Cause, Reason
 from sagnode.site import Site
+from sagnode.survey import Survey
 
 MIN_LANDMARKS = 3
 """Fewer cannot tell a moved camera from a mistaken landmark."""

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from sagnode.estimate.joint import SAG, SIZE, SWING
 from sagnode.estimate.locate import Matched, on_curve, visible_share
 from sagnode.estimate.register import Registered
 from sagnode.geometry.camera import FloatArray, project
@@ -16,11 +15,34 @@ from sagnode.measurement import Drawing, FrameMeasurement
 from sagnode.message import Estimate
 from sagnode.quality import Reason, Validity
 from sagnode.site import Site, SiteConductor
+from sagnode.survey import SAG, SIZE, SWING
 
 K95 = 1.96
 """Coverage factor of a 95 % interval of a normal quantity; linear propagation was found sufficient by Monte Carlo."""
 _GROUND_STEMS = ("clearance", "midspan_clearance")
 _STEPS = {**dict.fromkeys(range(10, 17), 0.001), SWING: 1e-4}
+
+
+def refused(site: Site, reasons: list[Reason], registered: Registered | None = None) -> list[FrameMeasurement]:
+    """An invalid measurement of every measured conductor, all for the same reasons."""
+    landmarks = 0
+    residual = None
+    if registered is not None:
+        residual = registered.residual_px
+        landmarks = registered.tracked.count if registered.tracked is not None else 0
+    return [
+        FrameMeasurement(
+            conductor=conductor.id,
+            phase=conductor.phase,
+            validity=Validity.INVALID,
+            reasons=tuple(reasons),
+            method=site.method,
+            pose_residual_px=residual,
+            landmarks_used=landmarks,
+        )
+        for conductor in site.conductors
+        if conductor.measured
+    ]
 
 
 def tell(
