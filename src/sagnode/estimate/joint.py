@@ -2,8 +2,8 @@ r"""The joint estimate: camera, attachments, sag and swing at once, maximum a po
 
 The unknowns θ are those of :mod:`sagnode.survey`, whose standard uncertainties are the prior P. Observations are
 tracked landmarks and offsets of the wire across the predicted curve, px. With J their derivatives by θ and C their
-covariances, Gauss-Newton steps with Levenberg damping minimise ``Σ rᵀC⁻¹r + (θ-θ₀)ᵀP⁻¹(θ-θ₀)``; the posterior
-covariance is ``(Σ JᵀC⁻¹J + P⁻¹)⁻¹``.
+covariances, Gauss-Newton steps, shortened where they go farther than the prior allows, minimise
+``Σ rᵀC⁻¹r + (θ-θ₀)ᵀP⁻¹(θ-θ₀)``; the posterior covariance is ``(Σ JᵀC⁻¹J + P⁻¹)⁻¹``. What does not settle says so.
 """
 
 from __future__ import annotations
@@ -146,7 +146,6 @@ def solve(
     mean0 = survey.prior_mean()
     active = np.arange(SIZE) if curve is not None else np.arange(10)
     theta = start.copy()
-    damping = 1e-6
     precision0 = np.diag(1 / sigma0**2)
     weight = np.ones(0 if curve is None else len(curve.t))
     landmark_weight = np.ones(0 if landmarks is None else landmarks.count)
@@ -187,8 +186,8 @@ def solve(
             normal_matrix += cj.T @ solved[:, :-1] / inflation
             gradient += cj.T @ solved[:, -1] / inflation
         scale = np.sqrt(np.diag(normal_matrix))
-        damped = normal_matrix / np.outer(scale, scale) + damping * np.eye(SIZE)
-        step = np.linalg.solve(damped, gradient / scale) / scale
+        scaled = normal_matrix / np.outer(scale, scale) + 1e-9 * np.eye(SIZE)
+        step = np.linalg.solve(scaled, gradient / scale) / scale
         step[np.setdiff1d(np.arange(SIZE), active)] = 0.0
         # a step farther than the prior allows is a sign of a wrong wire or a wrong survey: walk, don't jump
         ratio = float(np.max(np.abs(step[active]) / (3 * sigma0[active])))
