@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from sagnode.capture.port import GreyImage
 from sagnode.geometry.camera import FloatArray
-from sagnode.match.fit_curve import Curve
+from sagnode.match.fit_curve import Curve, apart
 from sagnode.match.fit_follow import LEVEL_PX, follow, pyramid
 from sagnode.match.fit_judge import Verdict, judge
 from sagnode.match.fit_refine import Refined, refine, seen_share
@@ -41,6 +41,9 @@ LONGEST_END = 0.25
 """Greatest share at either end in which no wire is seen: beyond it the curve is a guess."""
 CHANCE = 1e-5
 """Greatest probability that as many blocks look like the wire by chance."""
+OFF_TOLL = 0.015
+WEIGHT_TOLL = 0.2
+USUAL_WEIGHT = 1.1
 APART_PX = 3.0
 """Distance at which two curves are two wires and not one."""
 DARK_GREY = 12
@@ -99,7 +102,9 @@ class Candidate:
     @property
     def merit(self) -> float:
         """What candidates are compared by: seen share, how clearly, and how far the points given were missed."""
-        return self.share + self.verdict.strength / 30 - 0.005 * self.off_anchors**2
+        # space gives weights near 1; a point missed by one standard uncertainty more costs what two blocks bring
+        odd = WEIGHT_TOLL * float(np.log(self.curve.weight / USUAL_WEIGHT)) ** 2
+        return self.share + self.verdict.strength / 30 - OFF_TOLL * self.off_anchors**2 - odd
 
 
 def fit_between(
@@ -156,7 +161,6 @@ def candidates(image: GreyImage, anchors: FloatArray, slack: float) -> list[Cand
     """The best few arcs near the anchors (2, 2), followed, judged and refined; best first."""
     chord = float(np.linalg.norm(anchors[1] - anchors[0]))
     arcs = search(image, anchors[0], anchors[1], CANDIDATES)
-    arcs = [arc for arc in arcs if arc.score > 0.6 * arcs[0].score]
     if not arcs:
         return []
     pictures = pyramid(image, [arc.curve for arc in arcs], max(1.0, chord / LEVEL_PX))
@@ -185,7 +189,7 @@ def _distinct(curves: list[tuple[Curve, float]], apart_px: float) -> list[tuple[
     """Curves with their totals, best first, without those that lie on a better one."""
     kept: list[tuple[Curve, float]] = []
     for curve, total in sorted(curves, key=lambda one: -one[1]):
-        if all(_apart(curve, other) > apart_px for other, _ in kept):
+        if all(apart(curve, other) > apart_px for other, _ in kept):
             kept.append((curve, total))
     return kept
 
@@ -265,12 +269,6 @@ def _nothing(image: GreyImage, anchors: FloatArray, share: float = 0.0) -> Reaso
 def _tail(hits: int, count: int, chance: float) -> float:
     """Probability of at least ``hits`` of ``count`` independent blocks at this chance each (binomial)."""
     return sum(math.comb(count, k) * chance**k * (1 - chance) ** (count - k) for k in range(hits, count + 1))
-
-
-def _apart(one: Curve, other: Curve) -> float:
-    """Root mean square distance of two curves between the same points, px."""
-    difference = one.evenly(17)[1] - other.evenly(17)[1]
-    return float(np.sqrt((difference**2).sum(axis=1).mean()))
 
 
 def draw_fit(image: GreyImage, result: FitResult) -> NDArray[np.uint8]:

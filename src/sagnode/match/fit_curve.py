@@ -15,7 +15,7 @@ import numpy as np
 from sagnode.geometry.camera import FloatArray
 from sagnode.match.ribbon import arc_length
 
-LEAST_WEIGHT, GREATEST_WEIGHT = 0.3, 3.5
+LEAST_WEIGHT, GREATEST_WEIGHT = 0.6, 3.5
 """Bounds of the middle weight. Depths z₀, z₂ of the ends give (z₀+z₂)/(2√(z₀z₂)): 3.5 is a ratio of 47."""
 FIRST_ORDER = 3
 _DENSE = 257
@@ -82,6 +82,12 @@ def legendre(fraction: FloatArray, count: int) -> FloatArray:
     return np.asarray(everything[:, FIRST_ORDER:])
 
 
+def apart(one: Curve, other: Curve) -> float:
+    """Root mean square distance of two curves between the same points, px."""
+    difference = one.evenly(17)[1] - other.evenly(17)[1]
+    return float(np.sqrt((difference**2).sum(axis=1).mean()))
+
+
 @dataclass(frozen=True)
 class Prior:
     """What is known of the curve before the picture is looked at.
@@ -96,7 +102,7 @@ class Prior:
 
     anchors: FloatArray
     slack: float
-    weight_spread: float = 0.3
+    weight_spread: float = 0.2
     bend: float = 0.0
 
 

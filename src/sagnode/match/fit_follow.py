@@ -34,11 +34,13 @@ BLOCK = (8.0, 20.0)
 """Least and greatest length of a block, px."""
 CHANGING = 0.5
 """What a wire that may be dark here and bright there must bring more in each block: it has more chances."""
-RANGES: tuple[tuple[float, ...], ...] = ((10.0, 6.0, 5.0, 3.0, 2.5), (4.0, 2.5, 2.5))
+RANGES: tuple[tuple[float, ...], ...] = ((5.0, 4.0, 3.0, 2.5), (4.0, 2.5, 2.5))
 """Half ranges of the successive ribbons on the coarsest and on the finer levels, px of the level."""
+FLANK_PX = 4.0
+"""How near a stronger line of the other sign makes a line a mere flank of it."""
 LEVEL_PX = 900.0
 """Length of a chord on the coarsest level; longer ones are shrunk to it."""
-BOWS = 2
+BOWS = 1
 """So many of the first ribbons of a level are searched for a parabola, the others for any smooth path."""
 BEND = 0.4
 """Typical difference of the offsets of neighbouring blocks, px of the level."""
@@ -114,7 +116,11 @@ def look(picture: NDArray[np.float32], curve: Curve, half_range: float) -> Look:
     u, v = (part[centre][:, room:-room] for part in maps)
     height, width_px = picture.shape
     inside = (u >= 0.5) & (v >= 0.5) & (u <= width_px - 1.5) & (v <= height - 1.5)
-    signed = np.stack([_likelihood(profiles, width, margin)[:, room:-room] for width, margin in KERNELS])
+    signed, contrast = (
+        np.stack(part)[:, :, room:-room]
+        for part in zip(*(_likelihood(profiles, width, margin) for width, margin in KERNELS), strict=True)
+    )
+    signed *= _own_right(contrast)
     signed[:, ~inside] = 0.0
     return Look((starts + 0.5 * (size - 1)) / (count - 1), offsets, signed, inside)
 
@@ -124,8 +130,22 @@ def block_length(length: float) -> float:
     return float(np.clip(length / 60, *BLOCK))
 
 
-def _likelihood(profiles: FloatArray, width: float, margin: float) -> FloatArray:
-    """Signed log-likelihood ratios (M, K) of a wire of this width at every column; positive for a bright one.
+def _own_right(contrast: FloatArray) -> FloatArray:
+    """How far each line is one in its own right (W, M, K), 0..1, and not the flank of a stronger one of the other sign.
+
+    The shoulders of a dark wire look like faint bright lines beside it, the more so after sharpening or compression.
+    """
+    reach = 2 * int(FLANK_PX / STEP_PX) + 1
+    bright, dark = contrast.max(axis=0), -contrast.min(axis=0)
+    beside_bright, beside_dark = (cv2.dilate(part, np.ones((1, reach))) for part in (bright, dark))
+    stronger = np.where(contrast > 0, beside_dark, beside_bright)
+    return np.asarray(np.clip(2 * np.abs(contrast) / np.maximum(stronger, 1e-6), 0.0, 1.0))
+
+
+def _likelihood(profiles: FloatArray, width: float, margin: float) -> tuple[FloatArray, FloatArray]:
+    """Signed log-likelihood ratios (M, K) of a wire of this width at every column, positive for a bright one.
+
+    And its contrast (M, K) if there is one, grey levels.
 
     From the correlation ρ of a window with the wire's profile: ``-n/2 ln(1-ρ²)`` for n independent samples.
     """
@@ -138,7 +158,7 @@ def _likelihood(profiles: FloatArray, width: float, margin: float) -> FloatArray
     energy = np.maximum(_slide(level * level, np.ones((1, n))) - n * mean**2 - tilt**2, 0.0)
     alike = np.minimum(correlation(amplitude, energy, n), 0.99)
     samples = SAMPLES_PER_PX * n * STEP_PX
-    return np.asarray(-0.5 * samples * np.sign(amplitude) * np.log1p(-(alike**2)))
+    return np.asarray(-0.5 * samples * np.sign(amplitude) * np.log1p(-(alike**2))), amplitude * np.ptp(kernel)
 
 
 def _slide(profiles: FloatArray, taps: FloatArray) -> FloatArray:

@@ -24,6 +24,7 @@ BEND_PX = 4.0
 """Typical size of the first of them for a chord of a thousand pixels."""
 SEARCH_PX = 3.0
 """Half range in which the best line must lie on the curve."""
+AS_GOOD = 0.9
 ON_PX = 0.5
 MOST_ON_PX = 1.0
 ALIKE = 2.0
@@ -87,18 +88,17 @@ def seen_share(picture: Picture, curve: Curve) -> float:
     """Share of the blocks of a curve (in pixels of the frame) that show a wire of any width, in one picture."""
     here = curve.moved(picture.origin, picture.scale)
     options = [(number, number) for number in range(len(KERNELS))]
-    return max(float(_sure(_blocks(picture.grey, here, kernels, SEARCH_PX)[0]).mean()) for kernels in options)
+    return max(float(_sure(picture.grey, here, kernels)[0].mean()) for kernels in options)
 
 
 def _inspect(picture: NDArray[np.float32], curve: Curve, kernels: tuple[int, int]) -> Refined:
     """Which blocks of the final curve show the wire, beside how many would by chance."""
-    blocks, count = _blocks(picture, curve, kernels, SEARCH_PX)
-    sure = _sure(blocks)
+    sure, blocks, fraction = _sure(picture, curve, kernels)
     offset = blocks.offset[sure]
-    chance = [_sure(_blocks(picture, curve, kernels, SEARCH_PX, shift)[0]).mean() for shift in SHIFTS_PX]
+    chance = [_sure(picture, curve, kernels, shift)[0].mean() for shift in SHIFTS_PX]
     return Refined(
         curve=curve,
-        fraction=blocks.index / (count - 1),
+        fraction=fraction,
         sure=sure,
         residual_px=float(np.sqrt(np.mean(offset**2))) if sure.any() else float("inf"),
         by_chance=float(np.mean(chance)),
@@ -106,18 +106,26 @@ def _inspect(picture: NDArray[np.float32], curve: Curve, kernels: tuple[int, int
     )
 
 
-def _sure(blocks: Blocks) -> NDArray[np.bool_]:
-    """Blocks (M,) whose best line lies on the curve and has, in a block next to it, its sign and roughly its contrast.
+def _sure(
+    picture: NDArray[np.float32], curve: Curve, kernels: tuple[int, int], shift: float = 0.0
+) -> tuple[NDArray[np.bool_], Blocks, FloatArray]:
+    """Blocks (M,) with a line on the curve that goes on next door; all blocks; their arc fractions (M,).
 
-    Texture has lines everywhere, but not on the curve, and not the same ones from block to block.
+    The line must look about as much like a wire as any within reach (a neighbour may look as good), and a block next to
+    it must show one of its sign and roughly its contrast. Texture has lines everywhere, but not on the curve, and not
+    the same ones from block to block.
     """
-    on = blocks.valid & (np.abs(blocks.offset) <= np.minimum(ON_PX + 2 * blocks.sigma, MOST_ON_PX))
-    level = np.where(on, blocks.contrast, np.nan)
+    wide, count = _blocks(picture, curve, kernels, SEARCH_PX, shift)
+    near, _ = _blocks(picture, curve, kernels, MOST_ON_PX + 0.25, shift)
+    on = near.valid & (np.abs(near.offset) <= np.minimum(ON_PX + 2 * near.sigma, MOST_ON_PX))
+    on &= near.correlation >= AS_GOOD * wide.correlation
+    # the shoulder of a strong line is a line too, but a faint one
+    on &= np.abs(near.contrast) >= 0.5 * np.abs(wide.contrast)
+    level = np.where(on, near.contrast, np.nan)
     with np.errstate(divide="ignore", invalid="ignore"):
-        ratio = np.log(level[1:] / level[:-1])
-        alike = np.abs(ratio) < np.log(ALIKE)
+        alike = np.abs(np.log(level[1:] / level[:-1])) < np.log(ALIKE)
     found: NDArray[np.bool_] = np.append(alike, False) | np.insert(alike, 0, False)
-    return found
+    return found, near, near.index / (count - 1)
 
 
 def _blocks(
