@@ -9,6 +9,7 @@ import pytest
 
 from sagnode.calibrate.files import save_intrinsics
 from sagnode.config.node import Measure
+from sagnode.config.span import Stringing
 from sagnode.errors import ConfigError
 from sagnode.geometry.camera import project
 from sagnode.measurement import ConductorMeasurement
@@ -134,6 +135,49 @@ def test_a_missing_reference_picture_is_a_fault_of_the_configuration(
     camera = scene.surveyed.camera.model_copy(update={"intrinsics": lens, "reference_image": tmp_path / "none.png"})
     with pytest.raises(ConfigError, match=r"reference_image.*none\.png"):
         load_site(scene.surveyed.model_copy(update={"camera": camera}))
+
+
+def test_an_unwatched_camera_gives_wider_and_questionable_readings(
+    scene_and_moment: tuple[Scene, Moment], site: Site, tmp_path: Path
+) -> None:
+    scene, still = scene_and_moment
+    image = render(scene, still).image
+    lens = tmp_path / "camera.yaml"
+    save_intrinsics(lens, scene.intrinsics)
+    camera = scene.surveyed.camera.model_copy(update={"intrinsics": lens})
+    unwatched = load_site(scene.surveyed.model_copy(update={"camera": camera}))
+    for watched, m in zip(measure_burst(site, [image]), measure_burst(unwatched, [image]), strict=True):
+        assert m.validity is not Validity.GOOD
+        if m.estimates:
+            assert m.estimates["clearance"].u > watched.estimates["clearance"].u
+            assert Cause.LANDMARKS_LOST in [r.cause for r in m.reasons]
+
+
+def test_an_uncertainty_above_the_configured_limit_is_questionable(
+    scene_and_moment: tuple[Scene, Moment], site: Site
+) -> None:
+    scene, still = scene_and_moment
+    strict = replace(site, limits=site.limits.model_copy(update={"clearance_u_max_m": 1e-4}))
+    for m in measure_burst(strict, [render(scene, still).image]):
+        assert m.validity is Validity.QUESTIONABLE
+        assert Cause.UNCERTAIN in [r.cause for r in m.reasons]
+        assert m.estimates
+
+
+def test_temperature_is_derived_in_calm_air_and_withheld_in_wind(tmp_path: Path) -> None:
+    stringing = Stringing(
+        temperature_c=15.0, tension_n=2500.0, section_mm2=282.5, modulus_gpa=77.0, expansion_per_k=18.9e-6
+    )
+    for swing, told in ((0.0, True), (12.0, False)):
+        scene, moment = simple_scene({"L1": 1.8, "L2": 2.2}, swing, backdrop="plain")
+        conductors = tuple(c.model_copy(update={"stringing": stringing}) for c in scene.surveyed.conductors)
+        scene = replace(scene, surveyed=scene.surveyed.model_copy(update={"conductors": conductors}))
+        directory = tmp_path / str(swing)
+        directory.mkdir()
+        site = site_of(scene, simple_scene(backdrop="plain")[1], directory)
+        measured = [m for m in measure_burst(site, [render(scene, moment).image]) if m.estimates]
+        assert measured
+        assert all(("conductor_temp" in m.estimates) is told for m in measured)
 
 
 def test_without_undistortion_the_lens_is_taken_for_perfect(

@@ -6,6 +6,7 @@ import numpy as np
 
 from sagnode.capture.port import GreyImage
 from sagnode.estimate.locate import Matched, attachment_z, support, visible_share
+from sagnode.message import Estimate
 from sagnode.quality import Cause, Reason, Validity
 from sagnode.site import Site, SiteConductor
 
@@ -113,6 +114,9 @@ def _not_certain(found: Matched) -> list[Reason]:
 
 def _doubts(site: Site, found: Matched) -> list[Reason]:
     reasons = []
+    if site.patches is None and site.landmark_ids:
+        text = "no reference picture, so nobody sees whether the camera has moved; set camera.reference_image"
+        reasons.append(Reason(Cause.LANDMARKS_LOST, text))
     visible = visible_share(found)
     if visible < VISIBLE_GOOD:
         text = f"only {100 * visible:.0f} % of the span is visible (good from {100 * VISIBLE_GOOD:g} %)"
@@ -120,9 +124,14 @@ def _doubts(site: Site, found: Matched) -> list[Reason]:
     swing, swing_u = found.swing
     if abs(swing) - 2 * swing_u > site.swing_questionable:
         reasons.append(Reason(Cause.WIND_SWING, f"the conductor is swung by {np.degrees(swing):.0f}°"))
-    _, sag_u = found.sag
-    limit = site.limits.sag_u_max_m
-    if limit is not None and sag_u > limit:
-        text = f"standard uncertainty of sag {sag_u:.3f} m exceeds the configured {limit:g} m"
-        reasons.append(Reason(Cause.UNCERTAIN, text))
+    return reasons
+
+
+def exceeded(site: Site, estimates: dict[str, Estimate]) -> list[Reason]:
+    """The configured limits of uncertainty that an estimate exceeds: told, but questionable."""
+    reasons = []
+    for stem, limit in (("sag", site.limits.sag_u_max_m), ("clearance", site.limits.clearance_u_max_m)):
+        if limit is not None and stem in estimates and estimates[stem].u > limit:
+            text = f"standard uncertainty of {stem} {estimates[stem].u:.3f} m exceeds the configured {limit:g} m"
+            reasons.append(Reason(Cause.UNCERTAIN, text))
     return reasons

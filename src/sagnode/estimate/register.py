@@ -17,6 +17,8 @@ from sagnode.survey import Survey
 MIN_LANDMARKS = 3
 """Fewer cannot tell a moved camera from a mistaken landmark."""
 RESIDUAL_MAX_PX = 4.0
+UNWATCHED_PX = 3.0
+"""Standard uncertainty of where a camera looks whose movement since the survey cannot be seen."""
 
 
 @dataclass(frozen=True)
@@ -37,9 +39,14 @@ def register(site: Site, image: GreyImage) -> tuple[Registered, list[Reason]]:
     if not len(site.landmark_ids):
         return Registered(start, None, None, None, None), []
     if site.patches is None:
-        # no reference picture: the clicks say where the camera was when it was surveyed, and the camera has not moved
+        # no reference picture: the clicks say where the camera looked when it was surveyed, not where it looks now;
+        # what it may have swayed since is common to all of them, so that their number must not make it smaller
+        sway = UNWATCHED_PX * np.sqrt(len(site.landmark_ids))
         seen = LandmarkObservations(
-            site.landmark_positions, site.landmark_position_u, site.landmark_clicks, site.landmark_click_u
+            site.landmark_positions,
+            site.landmark_position_u,
+            site.landmark_clicks,
+            np.hypot(site.landmark_click_u, sway),
         )
         solution = solve(survey, start, seen, None)
         return Registered(solution.theta, seen, None, _landmark_rms(solution), None), []

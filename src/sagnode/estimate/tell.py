@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from sagnode.estimate.judge import exceeded
 from sagnode.estimate.locate import Matched, on_curve, visible_share
 from sagnode.estimate.register import Registered
 from sagnode.geometry.camera import FloatArray, project
@@ -19,6 +20,8 @@ from sagnode.survey import SAG, SIZE, SWING
 
 K95 = 1.96
 """Coverage factor of a 95 % interval of a normal quantity; linear propagation was found sufficient by Monte Carlo."""
+TEMPERATURE_SWING = np.radians(5.0)
+"""Beyond this swing the wind's pull is in the sag, and no temperature is derived from it."""
 _GROUND_STEMS = ("clearance", "midspan_clearance")
 _STEPS = {**dict.fromkeys(range(10, 17), 0.001), SWING: 1e-4}
 
@@ -58,6 +61,9 @@ def tell(
     budget: dict[str, dict[str, float]] = {}
     if found is not None and validity is not Validity.INVALID:
         estimates, budget = propagate(site, conductor, found)
+        beyond = exceeded(site, estimates)
+        if beyond:
+            validity, reasons = Validity.QUESTIONABLE, [*reasons, *beyond]
     return FrameMeasurement(
         conductor=conductor.id,
         phase=conductor.phase,
@@ -74,9 +80,9 @@ def tell(
     )
 
 
-def _values(site: Site, conductor: SiteConductor, shape: Shape) -> dict[str, float]:
+def _values(site: Site, conductor: SiteConductor, shape: Shape, *, calm: bool) -> dict[str, float]:
     values = quantities(shape, site.ground, conductor.unit_weight_n_m)
-    if conductor.stringing is not None and conductor.unit_weight_n_m is not None:
+    if conductor.stringing is not None and conductor.unit_weight_n_m is not None and calm:
         chord = shape.far - shape.near
         values["conductor_temp"] = conductor_temperature(
             float(np.hypot(chord[0], chord[1])),
@@ -93,13 +99,14 @@ def propagate(
 ) -> tuple[dict[str, Estimate], dict[str, dict[str, float]]]:
     """Estimates by quantity stem, and the standard uncertainty of each by source."""
     theta, survey = found.solution.theta, found.survey
-    values = _values(site, conductor, survey.shape(theta))
+    calm = abs(float(theta[SWING])) < TEMPERATURE_SWING
+    values = _values(site, conductor, survey.shape(theta), calm=calm)
     gradient = {stem: np.zeros(SIZE) for stem in values}
     for k, step in _STEPS.items():
         shift = np.zeros(SIZE)
         shift[k] = step
-        above = _values(site, conductor, survey.shape(theta + shift))
-        below = _values(site, conductor, survey.shape(theta - shift))
+        above = _values(site, conductor, survey.shape(theta + shift), calm=calm)
+        below = _values(site, conductor, survey.shape(theta - shift), calm=calm)
         for stem, column in gradient.items():
             column[k] = (above[stem] - below[stem]) / (2 * step)
     estimates, budget = {}, {}
