@@ -16,7 +16,7 @@ from sagnode.geometry.camera import FloatArray, project, projection_derivatives
 from sagnode.geometry.conductor import conductor_points
 from sagnode.survey import CAMERA, SAG, SIZE, SWING, Survey
 
-CORRELATED_PX = 0.06
+CORRELATED_PX = 0.10
 """Standard deviation of what neighbouring offsets share: background gradients, residuals of the lens model."""
 CORRELATION_LENGTH_PX = 60.0
 

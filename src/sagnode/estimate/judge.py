@@ -23,8 +23,8 @@ SUPPORT_MIN = 0.30
 VISIBLE_MIN = 0.20
 VISIBLE_GOOD = 0.33
 """Shares of the span that must be seen for a questionable and for a good reading."""
-SAG_U_MAX = 0.10
-"""Relative standard uncertainty of sag above which a number is no measurement."""
+SAG_U_MAX = 0.04
+"""Relative standard uncertainty of sag above which linear propagation no longer holds."""
 PRIOR_Z_MAX = 5.0
 """Corrections to the survey beyond this many of its own standard uncertainties mean another wire or a wrong survey."""
 RIVAL_MAX = 0.8

@@ -22,6 +22,7 @@ K95 = 1.96
 """Coverage factor of a 95 % interval of a normal quantity; linear propagation was found sufficient by Monte Carlo."""
 TEMPERATURE_SWING = np.radians(5.0)
 """Beyond this swing the wind's pull is in the sag, and no temperature is derived from it."""
+_PLACE_STEMS = ("clearance_along", "lowest_along")
 _GROUND_STEMS = ("clearance", "midspan_clearance")
 _STEPS = {**dict.fromkeys(range(10, 17), 0.001), SWING: 1e-4}
 
@@ -109,16 +110,42 @@ def propagate(
         below = _values(site, conductor, survey.shape(theta - shift), calm=calm)
         for stem, column in gradient.items():
             column[k] = (above[stem] - below[stem]) / (2 * step)
+    bend = _bend_over_swing(site, conductor, found, values, calm=calm)
     estimates, budget = {}, {}
     for stem, value in values.items():
         g = gradient[stem]
         parts = {name: float(g @ piece @ g) for name, piece in found.solution.information.items()}
+        parts["swing, second order"] = 0.5 * bend[stem] ** 2
         if stem in _GROUND_STEMS:
             parts["ground"] = site.ground.height_u**2
+        if stem in _PLACE_STEMS:
+            # a kink of the ground holds the place, but not the survey's idea of where along the span it is
+            parts["survey along the span"] = survey.attachment_u**2
         u = float(np.sqrt(sum(parts.values())))
         estimates[stem] = Estimate(value, u, value - K95 * u, value + K95 * u)
         budget[stem] = {name: float(np.sqrt(max(part, 0.0))) for name, part in parts.items()}
     return estimates, budget
+
+
+def _bend_over_swing(
+    site: Site, conductor: SiteConductor, found: Matched, values: dict[str, float], *, calm: bool
+) -> dict[str, float]:
+    """Second difference of every quantity over one standard uncertainty of swing to both sides.
+
+    A view from the side hardly sees swing, but it sees the vertical part of the sag: along what it leaves open, the
+    sag in the swung plane grows as 1/cos(swing), which no straight line follows. Half the second difference squared is
+    the next term of the law of propagation (JCGM 100, 5.1.2, note).
+    """
+    theta, (swing, swing_u) = found.solution.theta, found.swing
+    total = {stem: -2 * value for stem, value in values.items()}
+    for side in (-1.0, 1.0):
+        turned = float(np.clip(swing + side * swing_u, -1.4, 1.4))
+        moved = theta.copy()
+        moved[SWING], moved[SAG] = turned, theta[SAG] * np.cos(swing) / np.cos(turned)
+        beside = _values(site, conductor, found.survey.shape(moved), calm=calm)
+        for stem in total:
+            total[stem] += beside[stem]
+    return total
 
 
 def draw(site: Site, registered: Registered, found: Matched) -> Drawing:
