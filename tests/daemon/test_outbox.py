@@ -64,6 +64,21 @@ def test_never_more_than_inflight_on_the_wire(hands):
     assert h.outbox.on_the_wire == 5
 
 
+def test_what_was_acknowledged_while_the_journal_was_read_is_not_sent_again(hands):
+    h = hands(inflight=4)
+    fill(h.journal, 2)
+    sent = h.take()
+    for outgoing in sent:
+        h.outbox.acknowledged(outgoing.sequence)  # and only in memory yet
+    sent += h.take()
+    h.outbox.settle()
+    fill(h.journal, 1)
+    for outgoing in sent[4:]:
+        h.outbox.acknowledged(outgoing.sequence)
+    sent += h.drain()
+    assert sorted(outgoing.sequence for outgoing in sent) == list(range(1, 10))
+
+
 def test_a_fresh_reading_passes_the_backlog(hands):
     h = hands(inflight=4)
     fill(h.journal, 50)

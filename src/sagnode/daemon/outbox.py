@@ -129,6 +129,9 @@ class Outbox:
         """
         if self._acknowledged:
             self._journal.mark_delivered(self._acknowledged, self._now())
+            for sequence in self._acknowledged:  # read from the journal between the acknowledgement and now
+                self._page.pop(sequence, None)
+                self._passed.pop(sequence, None)
             self._acknowledged.clear()
 
     def refused(self, sequence: int, why: str) -> None:
@@ -231,7 +234,7 @@ class Outbox:
         now = self._now()
         age = now - datetime.fromisoformat(message["acquired_at"])
         backfill = not latest or age > self._expiry
-        message["published_at"] = now.isoformat()
+        message["published_at"] = now.isoformat().replace("+00:00", "Z")  # as the message's other times
         message["backfill"] = backfill
         self._on_the_wire.add(row.sequence)
         return Outgoing(
