@@ -68,7 +68,9 @@ class Replay(FrameSource):
         """Back end, path, and how far it is."""
         if self._track is None:
             return f"replay {self._config.path}, closed"
-        return f"replay {self._config.path}, frame {self._next} of {self._track.count()}"
+        count = self._track.count()
+        rounds, frame = divmod(self._next, count) if self._config.at_end == "loop" else (0, min(self._next, count))
+        return f"replay {self._config.path}, frame {frame} of {count}" + (f", round {rounds + 1}" if rounds else "")
 
     def first_frame_at(self) -> datetime | None:
         """Time of the next frame; None after the last."""

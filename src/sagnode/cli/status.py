@@ -207,7 +207,7 @@ def _problems(page: dict[str, Any], *, running: bool, known: bool, state_dir: Pa
     elif page["age_s"] is None or page["age_s"] > max(SILENT_S, 2 * page["deadline_s"]):
         yield f"the daemon has not shown itself for {_duration(page['age_s'])}"
     yield from _reading_problems(page, running=running)
-    if page["broker_connected"] is False:
+    if running and page["broker_connected"] is False:
         yield f"broker: {health['broker']}"
     if page["waiting_in_memory"] or health["journal"] != "ok":
         yield f"journal: {health['journal']}"

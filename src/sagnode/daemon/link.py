@@ -70,6 +70,7 @@ class Link:
             self._connected_at = float("inf")
             try:
                 Session(self._terms, self._outbox, self._mailbox, self._accepted).run()
+                self.state = f"left {self._terms.broker.address}"
                 break
             except LinkLostError as lost:
                 self._down(str(lost), by_broker=lost.by_broker)
