@@ -58,12 +58,12 @@ def test_without_frames_it_ends_with_a_clear_line(tmp_path, site, capsys):
     assert "frames" in capsys.readouterr().err
 
 
-@pytest.mark.skipif(len(FRAMES) < 2, reason="the demonstration's frames are not there")
+@pytest.mark.skipif(len(FRAMES) < 24, reason="the demonstration's frames are not there")
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_interrupted_it_ends_all_its_children(tmp_path, site, number):
     out = tmp_path / "out"
     process = subprocess.Popen(
-        [sys.executable, "-m", "sagnode", "demo", "--site", str(site(2)), "--out", str(out)],
+        [sys.executable, "-m", "sagnode", "demo", "--site", str(site(24)), "--out", str(out)],
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
     )
