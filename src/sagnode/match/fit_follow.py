@@ -37,7 +37,9 @@ CHANGING = 0.5
 RANGES: tuple[tuple[float, ...], ...] = ((5.0, 4.0, 3.0, 2.5), (4.0, 2.5, 2.5))
 """Half ranges of the successive ribbons on the coarsest and on the finer levels, px of the level."""
 FLANK_PX = 4.0
-"""How near a stronger line of the other sign makes a line a mere flank of it."""
+"""How near, beyond half its width, a stronger line of the other sign makes a line a mere flank of it."""
+FLANK, OWN_RIGHT = 0.5, 0.8
+"""Contrast relative to that stronger line at which a line is nothing but its flank, and a line in its own right."""
 LEVEL_PX = 900.0
 """Length of a chord on the coarsest level; longer ones are shrunk to it."""
 BOWS = 1
@@ -135,11 +137,13 @@ def _own_right(contrast: FloatArray) -> FloatArray:
 
     The shoulders of a dark wire look like faint bright lines beside it, the more so after sharpening or compression.
     """
-    reach = 2 * int(FLANK_PX / STEP_PX) + 1
-    bright, dark = contrast.max(axis=0), -contrast.min(axis=0)
-    beside_bright, beside_dark = (cv2.dilate(part, np.ones((1, reach))) for part in (bright, dark))
-    stronger = np.where(contrast > 0, beside_dark, beside_bright)
-    return np.asarray(np.clip(2 * np.abs(contrast) / np.maximum(stronger, 1e-6), 0.0, 1.0))
+    own = np.empty_like(contrast)
+    for layer, (width, _), factor in zip(contrast, KERNELS, own, strict=True):
+        reach = np.ones((1, 2 * int((0.5 * width + FLANK_PX) / STEP_PX) + 1))
+        beside_bright, beside_dark = (cv2.dilate(part, reach) for part in (layer, -layer))
+        stronger = np.maximum(np.where(layer > 0, beside_dark, beside_bright), 1e-6)
+        factor[:] = np.clip((np.abs(layer) / stronger - FLANK) / (OWN_RIGHT - FLANK), 0.0, 1.0)
+    return own
 
 
 def _likelihood(profiles: FloatArray, width: float, margin: float) -> tuple[FloatArray, FloatArray]:

@@ -24,7 +24,12 @@ BEND_PX = 4.0
 """Typical size of the first of them for a chord of a thousand pixels."""
 SEARCH_PX = 3.0
 """Half range in which the best line must lie on the curve."""
+FLANK_REACH_PX = 9.0
+"""Half range that holds the lines whose flank the curve might be."""
+OWN = 1.0
+"""Least evidence of a line that is not the flank of another."""
 AS_GOOD = 0.9
+"""How like a wire the line on the curve must look, as a share of the best within the half range."""
 ON_PX = 0.5
 MOST_ON_PX = 1.0
 ALIKE = 2.0
@@ -88,12 +93,14 @@ def seen_share(picture: Picture, curve: Curve) -> float:
     """Share of the blocks of a curve (in pixels of the frame) that show a wire of any width, in one picture."""
     here = curve.moved(picture.origin, picture.scale)
     options = [(number, number) for number in range(len(KERNELS))]
-    return max(float(_sure(picture.grey, here, kernels)[0].mean()) for kernels in options)
+    own = _own(picture.grey, here)
+    return max(float((own & _sure(picture.grey, here, kernels)[0]).mean()) for kernels in options)
 
 
 def _inspect(picture: NDArray[np.float32], curve: Curve, kernels: tuple[int, int]) -> Refined:
     """Which blocks of the final curve show the wire, beside how many would by chance."""
     sure, blocks, fraction = _sure(picture, curve, kernels)
+    sure &= _own(picture, curve)
     offset = blocks.offset[sure]
     chance = [_sure(picture, curve, kernels, shift)[0].mean() for shift in SHIFTS_PX]
     return Refined(
@@ -104,6 +111,14 @@ def _inspect(picture: NDArray[np.float32], curve: Curve, kernels: tuple[int, int
         by_chance=float(np.mean(chance)),
         contrast=float(np.median(np.abs(blocks.contrast[sure]))) if sure.any() else 0.0,
     )
+
+
+def _own(picture: NDArray[np.float32], curve: Curve) -> NDArray[np.bool_]:
+    """Blocks (M,) that have some evidence of a line in its own right on the curve."""
+    seen = look(picture, curve, FLANK_REACH_PX)
+    middle = np.abs(seen.offsets) <= MOST_ON_PX
+    result: NDArray[np.bool_] = np.abs(seen.signed[:, :, middle]).max(axis=(0, 2)) > OWN
+    return result
 
 
 def _sure(
