@@ -213,17 +213,16 @@ def best_bow(
 
 
 def best_path(
-    fraction: FloatArray, evidence: FloatArray, start_cost: FloatArray, end_cost: FloatArray
+    evidence: FloatArray, start_cost: FloatArray, end_cost: FloatArray, bend: float = BEND
 ) -> tuple[FloatArray, float]:
     """Most likely smooth path through evidence (M, K): column of each block (M,) and its total.
 
-    Neighbouring blocks differ by some BEND; the costs (K,) are those of the first and the last block's offset.
+    Neighbouring blocks differ by some ``bend`` px; the costs (K,) are those of the first and the last block's offset.
     """
-    del fraction
     blocks, columns = evidence.shape
-    reach = max(1, int(3 * BEND / STEP_PX))
+    reach = max(1, int(3 * bend / STEP_PX))
     moves = np.arange(-reach, reach + 1)
-    toll = 0.5 * (moves * STEP_PX / BEND) ** 2
+    toll = 0.5 * (moves * STEP_PX / bend) ** 2
     total = evidence[0] - start_cost
     came = np.zeros((blocks, columns), dtype=np.intp)
     index = np.arange(columns)
@@ -263,10 +262,11 @@ def follow(picture: Picture, curve: Curve, anchors: FloatArray, slack: float, le
     prior = Prior(given, loose)
     for passed, half_range in enumerate(RANGES[min(level, 1)]):
         seen = look(picture.grey, here, half_range)
-        costs = [0.5 * ((seen.offsets - _anchor_offset(here, given, i)) / loose) ** 2 for i in (0, 1)]
-        find = best_bow if passed < BOWS - level else best_path
+        costs = end_costs(here, given, loose, seen.offsets)
         found = [
-            (*find(seen.fraction, evidence, costs[0], costs[1]), evidence)
+            (*best_bow(seen.fraction, evidence, *costs), evidence)
+            if passed < BOWS - level
+            else (*best_path(evidence, *costs), evidence)
             for evidence in polarities(seen.signed, seen.inside)
         ]
         path, _, evidence = max(found, key=lambda one: one[1])
@@ -282,6 +282,12 @@ def follow(picture: Picture, curve: Curve, anchors: FloatArray, slack: float, le
             precision = np.clip(strength / MOST, 0.0, 1.0) / 0.7**2 / (1 + (rest / 1.0) ** 2)
         here = moved
     return here.moved(-picture.origin * picture.scale, 1 / picture.scale)
+
+
+def end_costs(curve: Curve, anchors: FloatArray, slack: float, offsets: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """What it costs a path to begin and to end at each offset (K,) from a curve, for anchors (2, 2) sure to ``slack``."""
+    first, last = (0.5 * ((offsets - _anchor_offset(curve, anchors, end)) / slack) ** 2 for end in (0, 1))
+    return first, last
 
 
 def _anchor_offset(curve: Curve, anchors: FloatArray, end: int) -> float:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from sagnode.geometry.camera import FloatArray
 from sagnode.match.fit_curve import Curve, Prior, adjust
-from sagnode.match.fit_follow import KERNELS, MOST, Picture, best_path, block_length, look, polarities
+from sagnode.match.fit_follow import KERNELS, MOST, Picture, best_path, block_length, end_costs, look, polarities
 from sagnode.match.localise import Blocks, localise
 from sagnode.match.ribbon import normals
 
@@ -20,6 +20,8 @@ ORDERS = 9
 """Orders of slow departure from the Bézier (lens distortion, weights, splices) that are tried."""
 BENT_RANGE_PX = 10.0
 """How far the wire may depart from the Bézier."""
+BENT_STEP_PX = 1.0
+"""Typical difference of its departures from block to block."""
 BEND_PX = 4.0
 """Typical size of the first of them for a chord of a thousand pixels."""
 SEARCH_PX = 3.0
@@ -171,8 +173,8 @@ def _measure(
 def _bent(picture: NDArray[np.float32], curve: Curve, prior: Prior) -> Curve:
     """The curve with the departure that the most likely smooth path in a wide ribbon asks for."""
     seen = look(picture, curve, BENT_RANGE_PX)
-    free = np.zeros(len(seen.offsets))
-    paths = [(*best_path(seen.fraction, e, free, free), e) for e in polarities(seen.signed, seen.inside)]
+    costs = end_costs(curve, prior.anchors, prior.slack, seen.offsets)
+    paths = [(*best_path(e, *costs, BENT_STEP_PX), e) for e in polarities(seen.signed, seen.inside)]
     path, _, evidence = max(paths, key=lambda one: one[1])
     column = np.rint(path).astype(np.intp)
     strength = np.maximum(evidence[np.arange(len(path)), column], 0.0) / MOST
