@@ -20,7 +20,7 @@ from sagnode.scene.truth import read_truth
 from sagnode.site import Site
 from tally import Outcome, outcome
 
-PAPER_EVERY = 8
+PAPER_EVERY = 16
 """The paper's methods see every so many frames: seconds for each conductor."""
 GROUP = "demo day"
 

@@ -69,8 +69,8 @@ GROUPS = (
         0.4,
     ),
     Group("side200", "from the side, 200 m off, where the wires are 0.12 px wide", "side200", 0.05),
-    Group("lab", "the paper's laboratory, frontal", "lab", 0.25, outdoors=False, sway_px=0.2, paper=True),
-    Group("lab45", "the paper's laboratory at 45°", "lab45", 0.25, outdoors=False, sway_px=0.2, paper=True),
+    Group("lab", "the paper's laboratory, frontal", "lab", 0.15, outdoors=False, sway_px=0.2, paper=True),
+    Group("lab45", "the paper's laboratory at 45°", "lab45", 0.15, outdoors=False, sway_px=0.2, paper=True),
 )
 
 
