@@ -305,3 +305,13 @@ def test_the_daemon_can_load_without_numpy_and_opencv(site: SiteFiles) -> None:
     )
     done = subprocess.run([sys.executable, "-c", code, str(site.node)], capture_output=True, text=True, check=True)
     assert done.stdout == "[]\n"
+
+
+def test_a_snapshot_outlives_its_files_and_refuses_another_calibration(site: SiteFiles) -> None:
+    loaded = load_node(site.node)
+    snapshot = loaded.snapshot()
+    site.node.write_text("nonsense")
+    assert LoadedNode.from_snapshot(snapshot) == loaded
+    loaded.span.camera.intrinsics.write_text("another: calibration\n")
+    with pytest.raises(ConfigError, match="was changed after"):
+        LoadedNode.from_snapshot(snapshot)

@@ -56,6 +56,40 @@ class LoadedNode:
     It is made of the values in effect: neither comments, nor written-out defaults, nor moving the directory change it.
     """
 
+    def snapshot(self) -> bytes:
+        """All of it as JSON, for a process that must go by this and not by what the files have become since."""
+        document = {
+            "node": self.node.model_dump(mode="json"),
+            "span": self.span.model_dump(mode="json"),
+            "path": str(self.path),
+            "span_path": str(self.span_path),
+            "configuration_id": self.configuration_id,
+            "files": _named_files_digest(self.span),
+        }
+        return json.dumps(document).encode()
+
+    @classmethod
+    def from_snapshot(cls, snapshot: bytes) -> LoadedNode:
+        """What :meth:`snapshot` was made of.
+
+        Raises:
+            ConfigError: a file that the span names has another content now, which the configuration id would deny.
+        """
+        document = json.loads(snapshot)
+        loaded = cls(
+            Node.model_validate(document["node"]),
+            Span.model_validate(document["span"]),
+            Path(document["path"]),
+            Path(document["span_path"]),
+            document["configuration_id"],
+        )
+        if _named_files_digest(loaded.span) != document["files"]:
+            camera = loaded.span.camera
+            names = " or ".join(str(file) for file in (camera.intrinsics, camera.reference_image) if file)
+            what = f"{names} was changed after the configuration was read"
+            raise ConfigError(what, "have it read anew: systemctl reload sagnode, or SIGHUP to sagnode run")
+        return loaded
+
 
 @dataclass(frozen=True)
 class Examined:
@@ -215,6 +249,11 @@ def _span_contradictions(data: dict[str, Any]) -> Iterable[tuple[str, str]]:
 
 def _effective(model: Node | Span) -> bytes:
     return json.dumps(model.model_dump(mode="json"), sort_keys=True).encode()
+
+
+def _named_files_digest(span: Span) -> str:
+    contents = (read_file(file) for file in (span.camera.intrinsics, span.camera.reference_image) if file)
+    return _digest(content if isinstance(content, bytes) else b"" for content in contents)
 
 
 def _digest(parts: Iterable[bytes]) -> str:

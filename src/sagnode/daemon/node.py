@@ -85,6 +85,7 @@ def _run_once(
                 backoff_max_s=node.worker.backoff_max_s,
             ),
             beat=lambda: _beat(watchdog, orders),
+            configuration=loaded.snapshot(),
         )
         recorder = Recorder(
             journal, owed=link is not None, keep_days=node.storage.keep_days, keep_mb=node.storage.keep_mb

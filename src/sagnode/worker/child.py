@@ -74,11 +74,13 @@ class _Worker:
         """Answer requests until the daemon closes the pipe."""
         # Imported here so that a broken installation of OpenCV or of a camera library is told by a line.
         from sagnode.capture import open_source
-        from sagnode.config.load import load_node
+        from sagnode.config.load import LoadedNode, load_node
         from sagnode.pipeline import load_site
 
         try:
-            loaded = load_node(self._config)
+            snapshot = sys.stdin.buffer.read()
+            # The daemon's snapshot counts: the files may have been edited since, and readings carry the daemon's id.
+            loaded = LoadedNode.from_snapshot(snapshot) if snapshot else load_node(self._config)
             site = load_site(loaded.span, loaded.node.measure)
             source = open_source(loaded.node.camera)
         except SagnodeError as error:

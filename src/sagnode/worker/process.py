@@ -36,22 +36,33 @@ class Child:
     Args:
         command: builds its command line.
         resume_after: passed on to it.
+        configuration: what it finds on its standard input.
 
     Raises:
         OSError: it cannot be started.
     """
 
-    def __init__(self, command: CommandLine, resume_after: datetime | None) -> None:
+    def __init__(self, command: CommandLine, resume_after: datetime | None, configuration: bytes = b"") -> None:
         requests_read, self._requests = os.pipe()
         self._replies, replies_write = os.pipe()
         os.set_blocking(self._requests, False)
         os.set_blocking(self._replies, False)
         try:
+            # In memory and not a pipe: a worker that never reads must not block the daemon.
+            given = os.memfd_create("configuration", os.MFD_CLOEXEC)
+        except OSError:
+            for end in (requests_read, self._requests, self._replies, replies_write):
+                os.close(end)
+            raise
+        try:
+            with os.fdopen(given, "r+b", closefd=False) as stdin:
+                stdin.write(configuration)
+                stdin.seek(0)
             # The protocol has pipes of its own: what camera libraries print on stdout goes to the log with stderr.
             # A session of its own, so that its whole process group can be killed.
             self._process = subprocess.Popen(
                 list(command(requests_read, replies_write, resume_after)),
-                stdin=subprocess.DEVNULL,
+                stdin=given,
                 stdout=subprocess.PIPE,
                 stderr=subprocess.STDOUT,
                 pass_fds=(requests_read, replies_write),
@@ -65,6 +76,7 @@ class Child:
             os.close(self._replies)
             raise
         finally:
+            os.close(given)
             os.close(requests_read)
             os.close(replies_write)
         self.pid = self._process.pid

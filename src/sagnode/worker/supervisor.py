@@ -72,10 +72,18 @@ class Supervisor:
         limits: deadline, recycling, back-off.
         beat: called at least every quarter of a second while waiting; the watchdog and a request to stop live there.
             When it returns False the wait is given up.
+        configuration: what every worker finds on its standard input.
     """
 
-    def __init__(self, command: CommandLine, limits: Limits, beat: Callable[[], bool] = lambda: True) -> None:
+    def __init__(
+        self,
+        command: CommandLine,
+        limits: Limits,
+        beat: Callable[[], bool] = lambda: True,
+        configuration: bytes = b"",
+    ) -> None:
         self._command = command
+        self._configuration = configuration
         self._limits = limits
         self._beat = beat
         self._child: Child | None = None
@@ -121,7 +129,7 @@ class Supervisor:
         self._stopped = False
         if self._child is None and self.wait_s() == 0.0:
             try:
-                self._child = Child(self._command, self._resume_after)
+                self._child = Child(self._command, self._resume_after, self._configuration)
             except OSError as error:
                 self._failed(Reason(Cause.WORKER_CRASHED, f"worker cannot be started: {error}"))
 
