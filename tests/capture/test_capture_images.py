@@ -122,7 +122,8 @@ def test_a_bomb_is_refused_by_its_header() -> None:
 
 
 def test_files_that_cannot_be_read_are_named(tmp_path: Path) -> None:
-    for path, says in [(tmp_path / "none.png", "does not exist"), (tmp_path, "directory")]:
+    device = Path("/dev/zero")
+    for path, says in [(tmp_path / "none.png", "does not exist"), (tmp_path, "directory"), (device, "device")]:
         with pytest.raises(FrameError, match=says) as caught:
             read_grey(path)
         assert str(path) in str(caught.value)

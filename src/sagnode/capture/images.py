@@ -45,13 +45,16 @@ def read_grey(path: Path | str) -> GreyImage:
         8-bit grey, (height, width), C-contiguous.
 
     Raises:
-        FrameError: (bad-frame) missing, a directory, unreadable, empty, cut off, damaged, not a picture, smaller than
-            MIN_SIDE or larger than MAX_PIXELS, or of a sample type that is not 8 or 16 bits; (dark) see to_grey8.
+        FrameError: (bad-frame) missing, a directory, pipe or device, unreadable, empty, cut off, damaged, not a
+            picture, smaller than MIN_SIDE or larger than MAX_PIXELS, or of a sample type that is not 8 or 16 bits;
+            (dark) see to_grey8.
     """
     path = Path(path)
     try:
         if path.is_dir():
             raise _bad(f"picture {path} is a directory", "name the picture files in it")
+        if path.exists() and not path.is_file():  # a pipe may never answer, a device may never end
+            raise _bad(f"picture {path} is a pipe or a device and no file", "write the picture into a file first")
         if path.stat().st_size > MAX_FILE_BYTES:
             raise _bad(f"picture {path} has {path.stat().st_size} bytes, more than {MAX_FILE_BYTES}", _KINDS_REMEDY)
         data = path.read_bytes()
