@@ -266,3 +266,6 @@ def inconsistencies(camera: Camera | None, schedule: Schedule | None) -> Iterato
     """Contradictions between tables that are each right by themselves: (table, sentence) pairs."""
     if schedule and camera and schedule.clock == "virtual" and camera.backend != "replay":
         yield "schedule", f'clock = "virtual" works with camera backend "replay" only, and this is "{camera.backend}"'
+    elif schedule and camera and camera.replay and schedule.clock == "virtual" and camera.replay.at_end == "hold":
+        text = 'clock = "virtual" would race on without end after the last frame; set camera.replay.at_end = "stop"'
+        yield "schedule", text
