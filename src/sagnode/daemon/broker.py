@@ -95,6 +95,8 @@ class Broker:
                 return f"{where}: {error}; check mqtt.host"
 
     def _context(self) -> ssl.SSLContext:
+        if self.ca_file is not None:
+            self.ca_file.open("rb").close()  # an unreadable file is named; OpenSSL would not say which
         context = ssl.create_default_context(cafile=str(self.ca_file) if self.ca_file else None)
         context.minimum_version = ssl.TLSVersion.TLSv1_2
         if self.cert_file is not None:

@@ -134,7 +134,9 @@ class Showcase:
             self._invalid += 1
         elif validity is Validity.GOOD:
             self._last_good_at = reading.acquired_at
-        if validity != self._last.get(reading.conductor, {}).get("validity"):
+        before = self._last.get(reading.conductor, {"validity": None, "reasons": []})
+        causes = [reason.cause for reason in reading.quality.reasons]
+        if (validity, causes) != (before["validity"], [reason["cause"] for reason in before["reasons"]]):
             why = "; ".join(f"{r.cause}: {r.text}" for r in reading.quality.reasons)
             log.info("%s is %s%s", reading.conductor, validity, f" ({why})" if why else "")
         self._last[reading.conductor] = {
