@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import json
 import os
 import subprocess
 import sys
@@ -140,3 +141,13 @@ def test_a_reader_that_goes_away_is_no_error() -> None:
     done = subprocess.run(["bash", "-c", code], capture_output=True, text=True, check=True)
     assert done.stderr == ""
     assert done.stdout.strip() in {"0", "141"}
+
+
+def test_a_program_that_asked_for_json_gets_its_error_as_json(capsys, tmp_path):
+    assert cli.main(["status", "--json", "--state-dir", str(tmp_path / "nope")]) == 2
+    said = capsys.readouterr()
+    document = json.loads(said.out)
+    assert document["schema_version"] == "sagnode.error/1"
+    assert "no such directory" in document["error"]
+    assert document["remedy"]
+    assert said.err.startswith("sagnode: error: ")

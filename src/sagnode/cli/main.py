@@ -13,6 +13,7 @@ from __future__ import annotations
 import argparse
 import difflib
 import importlib
+import json
 import os
 import sys
 import traceback
@@ -94,6 +95,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         return exit_.code if isinstance(exit_.code, int) else EXIT_USAGE
     except SagnodeError as error:
         _print_error(error)
+        if "--json" in words:
+            _print_json(error)
         return EXIT_USAGE if isinstance(error, ConfigError) else EXIT_DEGRADED
     except KeyboardInterrupt:
         return EXIT_INTERRUPTED
@@ -165,6 +168,13 @@ def _print_error(error: SagnodeError) -> None:
     if error.remedy:
         print(f"remedy: {error.remedy}", file=sys.stderr)
     _print_details(error)
+
+
+def _print_json(error: SagnodeError) -> None:
+    """The same for the program that asked for JSON, so that it finds a document in every case."""
+    faults = list(error.faults) if isinstance(error, ConfigError) else [error.what]
+    document = {"schema_version": "sagnode.error/1", "error": error.what, "remedy": error.remedy, "faults": faults}
+    print(json.dumps(document, indent=2, ensure_ascii=False), flush=True)
 
 
 def _print_defect(error: Exception) -> int:
