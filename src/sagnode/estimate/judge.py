@@ -43,7 +43,7 @@ def look(site: Site, image: GreyImage) -> list[Reason]:
     sample = image[::8, ::8]
     bright = float(np.percentile(sample, 99))
     if bright < DARK_LEVEL:
-        return [Reason(Cause.DARK, f"the picture is dark (99 % of it below grey level {bright:.0f} of 255)")]
+        return [Reason(Cause.DARK, f"the picture is dark (99 % of it at or below grey level {bright:.0f} of 255)")]
     saturated = float(np.mean(sample >= 254))
     if saturated > OVEREXPOSED_SHARE:
         return [Reason(Cause.OVEREXPOSED, f"{100 * saturated:.0f} % of the picture is saturated; shorten the exposure")]
