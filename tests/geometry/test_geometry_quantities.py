@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from sagnode.geometry.ground import GroundProfile
-from sagnode.geometry.quantities import Shape, Stringing, conductor_temperature, quantities
+from sagnode.geometry.quantities import Shape, Stringing, clearance_place_u, conductor_temperature, quantities
 
 FLAT = GroundProfile(np.array([0.0, 300.0]), np.array([0.0, 0.0]), np.empty((0, 3)), 0.05)
 
@@ -54,6 +54,16 @@ def test_least_clearance_is_found_at_an_obstacle_and_not_at_mid_span() -> None:
     at = np.interp(150.0, height[:, 1], height[:, 2])
     assert q["clearance"] == pytest.approx(at - 9.0, abs=1e-4)
     assert q["midspan_clearance"] == pytest.approx(14.0 - np.interp(100.0, ground.along, ground.height), abs=1e-5)
+
+
+def test_flat_ground_leaves_the_place_of_least_clearance_open_and_a_hill_does_not() -> None:
+    shape = Shape(np.array([0.0, 0.0, 20.0]), np.array([0.0, 200.0, 20.0]), 6.0)
+    hill = GroundProfile(
+        np.array([0.0, 90.0, 100.0, 110.0, 300.0]), np.array([0.0, 0, 5, 0, 0]), np.empty((0, 3)), 0.05
+    )
+    # 6 m of sag over 200 m rises by a decimetre within 13 m of the lowest point
+    assert 3.0 < clearance_place_u(shape, FLAT) < 13.0
+    assert clearance_place_u(shape, hill) < 0.5
 
 
 # ASTER600 (S 600.4 mm², E 60 GPa, α 23e-6, w 17.658 N/m), strung at 15 °C with H/w = 1200 m over 269.7 m and 0.83 m;

@@ -67,6 +67,7 @@ class Solution:
         weight: robust weights (M,) in [0, 1].
         landmark_residual: px (N, 2).
         landmark_weight: robust weights (N,).
+        landmark_z: root mean square of the landmarks' residuals over their standard uncertainties.
         inflation: factor by which the curve's variance exceeded what was expected (at least 1).
         converged: the last step was smaller than a hundredth of a standard uncertainty.
     """
@@ -78,6 +79,7 @@ class Solution:
     weight: FloatArray
     landmark_residual: FloatArray
     landmark_weight: FloatArray
+    landmark_z: float
     inflation: float
     converged: bool
 
@@ -202,7 +204,11 @@ def solve(
     posterior = np.linalg.inv(normal_matrix)
     posterior = 0.5 * (posterior + posterior.T)
     information = _budget(posterior, sigma0, lj, lc, landmark_weight, cj, white, correlated, weight, inflation)
-    return Solution(theta, posterior, information, cr, weight, lr, landmark_weight, inflation, converged)
+    landmark_z = 0.0
+    if len(lr):
+        squared = np.einsum("ni,nij,nj->n", lr, np.linalg.inv(lc), lr)
+        landmark_z = float(np.sqrt(np.sum(landmark_weight * squared) / (2 * max(float(landmark_weight.sum()), 1e-9))))
+    return Solution(theta, posterior, information, cr, weight, lr, landmark_weight, landmark_z, inflation, converged)
 
 
 def _inflation(residual: FloatArray, covariance: FloatArray, weight: FloatArray) -> float:

@@ -95,7 +95,7 @@ def _not_this_conductor(conductor: SiteConductor, found: Matched) -> list[Reason
         reasons.append(Reason(Cause.AMBIGUOUS, text))
     low, high = conductor.survey.sag_range
     sag, sag_u = found.sag
-    if not low - 3 * sag_u <= sag <= high + 3 * sag_u:
+    if not low - 2 * sag_u <= sag <= high + 2 * sag_u:
         text = f"sag {sag:.2f} m is outside the possible {low:g} to {high:g} m of the survey"
         reasons.append(Reason(Cause.OUTSIDE_LIMITS, text))
     return reasons

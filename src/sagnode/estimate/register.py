@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,7 +17,10 @@ from sagnode.survey import Survey
 
 MIN_LANDMARKS = 3
 """Fewer cannot tell a moved camera from a mistaken landmark."""
-RESIDUAL_MAX_PX = 4.0
+MIN_SHARE = 0.4
+"""Least share of the landmarks that must agree: a few patches find company by chance in a picture of something else."""
+RESIDUAL_MAX = 3.5
+"""Residuals beyond this many of their own standard uncertainties fit no place of the camera."""
 UNWATCHED_PX = 3.0
 """Standard uncertainty of where a camera looks whose movement since the survey cannot be seen."""
 
@@ -52,7 +56,7 @@ def register(site: Site, image: GreyImage) -> tuple[Registered, list[Reason]]:
         return Registered(solution.theta, seen, None, _landmark_rms(solution), None), []
     tracked = track(image, list(site.patches), site.max_movement_px + 8)
     possible = int(tracked.visible.sum())
-    needed = min(MIN_LANDMARKS, max(1, possible))
+    needed = min(max(MIN_LANDMARKS, math.ceil(MIN_SHARE * possible)), max(1, possible))
     if tracked.count < needed:
         text = (
             f"{tracked.count} of {possible} landmarks recognised (needs {needed}): fog, night, a covered lens"
@@ -75,8 +79,11 @@ def register(site: Site, image: GreyImage) -> tuple[Registered, list[Reason]]:
     if movement > site.max_movement_px:
         text = f"the landmarks have moved by {movement:.0f} px (limit {site.max_movement_px:g}); survey the camera anew"
         return registered, [Reason(Cause.CAMERA_MOVED, text)]
-    if residual > RESIDUAL_MAX_PX:
-        text = f"the landmarks fit no place of the camera (residual {residual:.1f} px); check survey and clicks"
+    if solution.landmark_z > RESIDUAL_MAX:
+        text = (
+            f"the landmarks fit no place of the camera: residual {residual:.1f} px, {solution.landmark_z:.1f} times what"
+            " survey and clicks allow; check both"
+        )
         return registered, [Reason(Cause.BAD_CALIBRATION, text)]
     return registered, []
 

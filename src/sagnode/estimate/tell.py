@@ -11,7 +11,7 @@ from sagnode.estimate.judge import exceeded
 from sagnode.estimate.locate import Matched, on_curve, visible_share
 from sagnode.estimate.register import Registered
 from sagnode.geometry.camera import FloatArray, project
-from sagnode.geometry.quantities import Shape, conductor_temperature, quantities
+from sagnode.geometry.quantities import Shape, clearance_place_u, conductor_temperature, quantities
 from sagnode.measurement import Drawing, FrameMeasurement
 from sagnode.message import Estimate
 from sagnode.quality import Reason, Validity
@@ -121,6 +121,8 @@ def propagate(
         if stem in _PLACE_STEMS:
             # a kink of the ground holds the place, but not the survey's idea of where along the span it is
             parts["survey along the span"] = survey.attachment_u**2
+        if stem == "clearance_along":
+            parts["ground"] = clearance_place_u(survey.shape(theta), site.ground) ** 2
         u = float(np.sqrt(sum(parts.values())))
         estimates[stem] = Estimate(value, u, value - K95 * u, value + K95 * u)
         budget[stem] = {name: float(np.sqrt(max(part, 0.0))) for name, part in parts.items()}

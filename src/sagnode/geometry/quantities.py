@@ -58,14 +58,36 @@ def _extreme(values: FloatArray, positions: FloatArray) -> tuple[float, float]:
 
 def clearance(points: FloatArray, along: FloatArray, ground: GroundProfile) -> tuple[float, float]:
     """Least vertical distance to the ground and its obstacles, and the distance from A of its place (m, m)."""
+    all_along, gap = _gaps(points, along, ground)
+    i = int(np.argmin(gap))
+    return float(gap[i]), float(all_along[i])
+
+
+def clearance_place_u(shape: Shape, ground: GroundProfile) -> float:
+    """Standard uncertainty of the place of least clearance that the ground's height errors leave, m.
+
+    Places whose clearance exceeds the least by less than two heights' errors may be the least in truth: the place is
+    weighed by how likely each of them is.
+    """
+    points = shape.points()
+    chord = shape.far - shape.near
+    along = (points[:, :2] - shape.near[:2]) @ (chord[:2] / np.hypot(chord[0], chord[1]))
+    places, gap = _gaps(points, along, ground)
+    order = np.argsort(places)
+    places, excess = places[order], gap[order] - gap.min()
+    weight = np.exp(-0.25 * (excess / max(ground.height_u, 1e-6)) ** 2) * np.gradient(places)
+    best = places[int(np.argmin(excess))]
+    return float(np.sqrt(np.sum(weight * (places - best) ** 2) / max(float(weight.sum()), 1e-12)))
+
+
+def _gaps(points: FloatArray, along: FloatArray, ground: GroundProfile) -> tuple[FloatArray, FloatArray]:
+    """Places (distance from A) and vertical distances to the ground there, m."""
     # an obstacle's edge may fall between two samples: look just inside each edge too
     edges = np.concatenate([ground.along, ground.obstacles[:, 0], ground.obstacles[:, 1]])
     edges = edges[(edges > along[0]) & (edges < along[-1])]
     all_along = np.concatenate([along, edges])
     heights = np.concatenate([points[:, 2], np.interp(edges, along, points[:, 2])])
-    gap = heights - ground.top(all_along)
-    i = int(np.argmin(gap))
-    return float(gap[i]), float(all_along[i])
+    return all_along, np.asarray(heights - ground.top(all_along))
 
 
 def quantities(shape: Shape, ground: GroundProfile, unit_weight_n_m: float | None = None) -> dict[str, float]:
