@@ -29,8 +29,8 @@ SLACK_PX = 2.0
 SHORTEST_PX = 40.0
 """A chord shorter than this holds too few blocks to tell a wire from chance."""
 FEWEST_POINTS = 60
-CANDIDATES = 10
-FEWEST = 4
+CANDIDATES = 5
+FEWEST = 3
 JUDGED = 3
 """How many arcs are taken over from the map, how many at least are followed, and how many are judged."""
 CLEAR_SHARE = 0.8
@@ -160,7 +160,7 @@ def refusal(reason: Reason, score: float = 0.0, share: float = 0.0) -> FitResult
 def candidates(image: GreyImage, anchors: FloatArray, slack: float) -> list[Candidate]:
     """The best few arcs near the anchors (2, 2), followed, judged and refined; best first."""
     chord = float(np.linalg.norm(anchors[1] - anchors[0]))
-    arcs = search(image, anchors[0], anchors[1], CANDIDATES)
+    arcs = search(image, anchors[0], anchors[1], slack, CANDIDATES)
     if not arcs:
         return []
     pictures = pyramid(image, [arc.curve for arc in arcs], max(1.0, chord / LEVEL_PX))

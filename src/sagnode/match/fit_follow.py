@@ -285,7 +285,7 @@ def follow(picture: Picture, curve: Curve, anchors: FloatArray, slack: float, le
 
 
 def end_costs(curve: Curve, anchors: FloatArray, slack: float, offsets: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """What it costs a path to begin and to end at each offset (K,) from a curve, for anchors (2, 2) sure to ``slack``."""
+    """What a path pays to begin and to end at each offset (K,) from a curve; anchors (2, 2) are sure to ``slack``."""
     first, last = (0.5 * ((offsets - _anchor_offset(curve, anchors, end)) / slack) ** 2 for end in (0, 1))
     return first, last
 

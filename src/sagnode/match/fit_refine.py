@@ -50,6 +50,7 @@ class Refined:
         curve: in pixels of the picture.
         fraction: arc fractions of the blocks (M,).
         sure: blocks in which the best line across lies on the curve and goes on next door (M,).
+        alone: those of them in which nothing within reach across looks more like a wire (M,).
         residual_px: root mean square distance of the wire from the curve in those; infinite without any.
         by_chance: share of sure blocks on the same curve laid beside itself.
         contrast: median of wire less background in sure blocks, grey levels; 0 without any.
@@ -58,6 +59,7 @@ class Refined:
     curve: Curve
     fraction: FloatArray
     sure: NDArray[np.bool_]
+    alone: NDArray[np.bool_]
     residual_px: float
     by_chance: float
     contrast: float
@@ -101,7 +103,7 @@ def seen_share(picture: Picture, curve: Curve) -> float:
 
 def _inspect(picture: NDArray[np.float32], curve: Curve, kernels: tuple[int, int]) -> Refined:
     """Which blocks of the final curve show the wire, beside how many would by chance."""
-    sure, blocks, fraction = _sure(picture, curve, kernels)
+    sure, blocks, fraction, alone = _sure(picture, curve, kernels)
     sure &= _own(picture, curve)
     offset = blocks.offset[sure]
     chance = [_sure(picture, curve, kernels, shift)[0].mean() for shift in SHIFTS_PX]
@@ -109,6 +111,7 @@ def _inspect(picture: NDArray[np.float32], curve: Curve, kernels: tuple[int, int
         curve=curve,
         fraction=fraction,
         sure=sure,
+        alone=sure & alone,
         residual_px=float(np.sqrt(np.mean(offset**2))) if sure.any() else float("inf"),
         by_chance=float(np.mean(chance)),
         contrast=float(np.median(np.abs(blocks.contrast[sure]))) if sure.any() else 0.0,
@@ -125,8 +128,8 @@ def _own(picture: NDArray[np.float32], curve: Curve) -> NDArray[np.bool_]:
 
 def _sure(
     picture: NDArray[np.float32], curve: Curve, kernels: tuple[int, int], shift: float = 0.0
-) -> tuple[NDArray[np.bool_], Blocks, FloatArray]:
-    """Blocks (M,) with a line on the curve that goes on next door; all blocks; their arc fractions (M,).
+) -> tuple[NDArray[np.bool_], Blocks, FloatArray, NDArray[np.bool_]]:
+    """Blocks (M,) with a line on the curve that goes on next door; all blocks; their arc fractions (M,); and where nothing else looks better.
 
     The line must look about as much like a wire as any within reach (a neighbour may look as good), and a block next to
     it must show one of its sign and roughly its contrast. Texture has lines everywhere, but not on the curve, and not
@@ -142,7 +145,8 @@ def _sure(
     with np.errstate(divide="ignore", invalid="ignore"):
         alike = np.abs(np.log(level[1:] / level[:-1])) < np.log(ALIKE)
     found: NDArray[np.bool_] = np.append(alike, False) | np.insert(alike, 0, False)
-    return found, near, near.index / (count - 1)
+    alone = np.abs(wide.offset) <= MOST_ON_PX
+    return found, near, near.index / (count - 1), alone
 
 
 def _blocks(

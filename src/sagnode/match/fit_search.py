@@ -23,8 +23,10 @@ FINE_STEPS = (1.6, 0.8)
 """Of the successive fine grids, two steps either way."""
 WORTH = 0.7
 """Arcs that score less than this share of the best are not followed."""
-END_TOLL = 0.002
-"""What missing a given point by a cell costs, in mean strength."""
+END_TOLL = 0.008
+"""What missing a given point by its standard uncertainty costs, in mean strength."""
+GRID_ARCS = 8
+"""Arcs of the wide grid that are looked at finely."""
 WEIGHTS = (0.8, 1.0, 1.4, 2.0, 3.0)
 
 
@@ -54,7 +56,7 @@ class Arcs:
         return Arcs(self.ends[which], self.handles[which], self.weights[which])
 
 
-def search(image: GreyImage, start: FloatArray, end: FloatArray, count: int) -> list[Candidate]:
+def search(image: GreyImage, start: FloatArray, end: FloatArray, slack: float, count: int) -> list[Candidate]:
     """Up to ``count`` of the best arcs between two pixels that differ from each other, best first."""
     corridor = level(image, start, end)
     layers, angles = line_map(corridor)
@@ -63,21 +65,21 @@ def search(image: GreyImage, start: FloatArray, end: FloatArray, count: int) -> 
     arcs = _grid(corridor.cells)
     score, stations = _score(corridor, wide, angles, arcs)
     found: list[Candidate] = []
-    for index in _distinct(score, stations, count):
+    for index in _distinct(score, stations, GRID_ARCS):
         best = arcs[np.array([index])]
         for step in FINE_STEPS:
             nearby = _around(best, corridor.cells, step)
             fine, _ = _score(corridor, layers, angles, nearby)
-            fine -= END_TOLL * (nearby.ends**2).sum(axis=1)
+            fine -= END_TOLL * (corridor.shrink / slack) ** 2 * (nearby.ends**2).sum(axis=1)
             best = nearby[np.array([int(np.argmax(fine))])]
         found.append(Candidate(_curve(corridor, best), float(fine.max())))
     found.sort(key=lambda one: -one.score)
-    return [
-        one
-        for number, one in enumerate(found)
-        if one.score > WORTH * found[0].score
-        and all(apart(one.curve, other.curve) > corridor.shrink for other in found[:number])
-    ]
+    kept: list[Candidate] = []
+    for one in found:
+        new = all(apart(one.curve, other.curve) > corridor.shrink for other in kept)
+        if new and one.score > WORTH * found[0].score:
+            kept.append(one)
+    return kept[:count]
 
 
 def _distinct(score: FloatArray, stations: FloatArray, count: int) -> list[int]:

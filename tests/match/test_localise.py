@@ -1,0 +1,80 @@
+"""Where a wire lies across a curve: unbiased, with honest uncertainties, for wires of any width and either sign."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from sagnode.match.localise import localise, wire_kernel
+from sagnode.match.ribbon import normals
+
+Floats = NDArray[np.float64]
+
+
+def strip(rng: np.random.Generator, row: float, width: float, contrast: float, noise: float) -> NDArray[np.uint8]:
+    """A level wire across a sky that brightens downwards, 400 x 120 px."""
+    v = np.arange(120.0)
+    profile = 120 + 0.3 * v + contrast * wire_kernel(width, v - row, 0.8)
+    return np.clip(np.rint(profile[:, None] + noise * rng.standard_normal((120, 400))), 0, 255).astype(np.uint8)
+
+
+def curve(row: float) -> tuple[Floats, Floats]:
+    u = np.linspace(10, 390, 381)
+    pixels = np.stack([u, np.full_like(u, row)], axis=1)
+    return pixels, normals(pixels)
+
+
+@pytest.mark.parametrize(
+    ("width", "contrast", "noise"), [(0.5, -40, 3), (1.5, -10, 3), (1.5, 60, 8), (3.0, -40, 3), (8.0, 60, 8)]
+)
+def test_offsets_are_unbiased_and_their_uncertainties_hold(width: float, contrast: float, noise: float) -> None:
+    rng = np.random.default_rng(1)
+    errors, sigmas = [], []
+    for _ in range(12):
+        row, shift = 60 + rng.uniform(-0.5, 0.5), rng.uniform(-2, 2)
+        pixels, normal = curve(row + shift)
+        blocks = localise(strip(rng, row, width, contrast, noise), pixels, normal, width, 6.0)
+        error = blocks.offset + shift
+        good = blocks.valid & (np.abs(error) < 1.5)
+        assert good.mean() > 0.95
+        assert np.sign(blocks.contrast[good]).mean() == np.sign(contrast)
+        errors.append(error[good])
+        sigmas.append(blocks.sigma[good])
+    error, sigma = np.concatenate(errors), np.concatenate(sigmas)
+    assert abs(error.mean()) < 0.03
+    assert 0.6 < (error / sigma).std() < 1.4
+
+
+def test_a_slope_of_the_background_does_not_pull() -> None:
+    rng = np.random.default_rng(2)
+    image = strip(rng, 60.0, 1.5, -30, 0.5).astype(float) + np.linspace(-80, 60, 120)[:, None]
+    pixels, normal = curve(60.0)
+    blocks = localise(np.clip(image, 0, 255).astype(np.uint8), pixels, normal, 1.5, 5.0)
+    assert abs(np.median(blocks.offset)) < 0.05
+
+
+def test_blocks_lie_in_order_and_outside_the_frame_none_is_valid() -> None:
+    rng = np.random.default_rng(3)
+    pixels, normal = curve(60.0)
+    shifted = pixels + (200.0, 0.0)
+    blocks = localise(strip(rng, 60.0, 1.5, -30, 2), shifted, normal, 1.5, 5.0)
+    assert (np.diff(blocks.arc) > 0).all()
+    assert len(blocks.index) == round(380 / 8)
+    right = shifted[np.rint(blocks.index).astype(int), 0] > 404
+    assert not blocks.valid[right].any()
+    assert np.isnan(blocks.offset[right]).all()
+    assert (blocks.snr[right] == 0).all()
+
+
+def test_single_precision_pictures_give_the_same() -> None:
+    rng = np.random.default_rng(4)
+    image = strip(rng, 60.3, 1.5, -30, 2)
+    pixels, normal = curve(60.0)
+    bytes_, singles = (localise(part, pixels, normal, 1.5, 5.0) for part in (image, image.astype(np.float32)))
+    assert np.nanmax(np.abs(bytes_.offset - singles.offset)) < 0.01
+
+
+def test_fewer_than_two_samples_give_no_blocks() -> None:
+    blocks = localise(np.zeros((50, 50), np.uint8), np.zeros((1, 2)), np.zeros((1, 2)), 1.0, 5.0)
+    assert len(blocks.offset) == 0
