@@ -81,8 +81,8 @@ def register(site: Site, image: GreyImage) -> tuple[Registered, list[Reason]]:
         return registered, [Reason(Cause.CAMERA_MOVED, text)]
     if solution.landmark_z > RESIDUAL_MAX:
         text = (
-            f"the landmarks fit no place of the camera: residual {residual:.1f} px, {solution.landmark_z:.1f} times what"
-            " survey and clicks allow; check both"
+            f"the landmarks fit no place of the camera: residual {residual:.1f} px,"
+            f" {solution.landmark_z:.1f} times what survey and clicks allow; check both"
         )
         return registered, [Reason(Cause.BAD_CALIBRATION, text)]
     return registered, []
