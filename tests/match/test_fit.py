@@ -85,10 +85,8 @@ VIEWS = {
 def test_a_wire_is_followed_to_a_pixel(view: str, behind: str) -> None:
     rng = np.random.default_rng(len(view))
     truth = inside(VIEWS[view])
-    if behind == "sky":
-        image = picture(draw(sky(rng), truth, 1.3, 70))
-    else:
-        image = picture(draw(trees(rng), truth, 2.0, 165))
+    backdrop, width, grey = (sky(rng), 1.3, 70) if behind == "sky" else (trees(rng), 2.0, 165)
+    image = picture(draw(backdrop, truth, width, grey))
     result = fit_between(image, *clicks(truth, rng))
     assert result.found, result.reasons
     away = distances(result, truth)
@@ -120,9 +118,9 @@ def test_the_points_choose_among_parallel_wires() -> None:
     truth = inside(VIEWS["side"])
     image = sky(rng)
     for offset in (-9.0, 0.0, 9.0):
-        image = draw(image, truth + (0, offset), 1.3, 70)
+        image = draw(image, truth + np.array([0, offset]), 1.3, 70)
     for offset in (-9.0, 0.0, 9.0):
-        wanted = truth + (0, offset)
+        wanted = truth + np.array([0, offset])
         result = fit_between(picture(image), *clicks(wanted, rng, 1.0))
         assert result.found, result.reasons
         assert np.median(distances(result, wanted)) < 0.35
@@ -133,7 +131,7 @@ def test_a_tight_bundle_is_followed_along_its_middle() -> None:
     truth = inside(VIEWS["rolled"])
     image = sky(rng)
     for offset in (-2.2, 2.2):
-        image = draw(image, truth + (0, offset), 1.0, 60)
+        image = draw(image, truth + np.array([0, offset]), 1.0, 60)
     result = fit_between(picture(image), *clicks(truth, rng, 1.0))
     assert result.found, result.reasons
     assert np.median(distances(result, truth)) < 0.8

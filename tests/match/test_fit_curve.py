@@ -40,7 +40,7 @@ def test_points_are_equally_spaced() -> None:
 
 
 def test_adjusting_reaches_the_curve_that_was_measured() -> None:
-    wanted = Curve(FLAT.control + [[0, 3.0], [20.0, -15.0], [0, -2.0]], 1.25)
+    wanted = Curve(FLAT.control + np.array([[0, 3.0], [20.0, -15.0], [0, -2.0]]), 1.25)
     prior = Prior(wanted.control[[0, 2]], 2.0, weight_spread=0.5)
     curve = FLAT
     fraction = np.linspace(0.01, 0.99, 80)

@@ -57,7 +57,7 @@ def test_a_slope_of_the_background_does_not_pull() -> None:
 def test_blocks_lie_in_order_and_outside_the_frame_none_is_valid() -> None:
     rng = np.random.default_rng(3)
     pixels, normal = curve(60.0)
-    shifted = pixels + (200.0, 0.0)
+    shifted = pixels + np.array([200.0, 0.0])
     blocks = localise(strip(rng, 60.0, 1.5, -30, 2), shifted, normal, 1.5, 5.0)
     assert (np.diff(blocks.arc) > 0).all()
     assert len(blocks.index) == round(380 / 8)

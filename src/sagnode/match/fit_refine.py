@@ -129,7 +129,10 @@ def _own(picture: NDArray[np.float32], curve: Curve) -> NDArray[np.bool_]:
 def _sure(
     picture: NDArray[np.float32], curve: Curve, kernels: tuple[int, int], shift: float = 0.0
 ) -> tuple[NDArray[np.bool_], Blocks, FloatArray, NDArray[np.bool_]]:
-    """Blocks (M,) with a line on the curve that goes on next door; all blocks; their arc fractions (M,); and where nothing else looks better.
+    """Blocks with a line on the curve that goes on next door.
+
+    Returns:
+        Which blocks (M,); all blocks; their arc fractions (M,); and where nothing else looks better (M,).
 
     The line must look about as much like a wire as any within reach (a neighbour may look as good), and a block next to
     it must show one of its sign and roughly its contrast. Texture has lines everywhere, but not on the curve, and not
