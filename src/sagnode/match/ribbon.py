@@ -57,11 +57,6 @@ def lookup(image: GreyImage | NDArray[np.float32], pixels: FloatArray) -> NDArra
     return np.asarray(values, dtype=np.float32)
 
 
-def ribbon(image: GreyImage, pixels: FloatArray, normal: FloatArray, offsets: FloatArray) -> NDArray[np.float32]:
-    """Grey values (N, M) across a curve: pixels (N, 2), unit normals (N, 2), offsets (M,) in px; NaN outside."""
-    return lookup(image, pixels[:, None, :] + offsets[:, None] * normal[:, None, :])
-
-
 def pair_response(image: GreyImage, centre: FloatArray, side: FloatArray) -> NDArray[np.float32]:
     """Polarity-agnostic line response (...) at centres (..., 2), with sides at ``centre ± side`` (..., 2).
 

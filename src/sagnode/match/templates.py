@@ -100,11 +100,6 @@ def even_parameters(
     return np.asarray(np.interp(wanted, arc[ends], t[ends]))
 
 
-def _grid(low: float, high: float, step: float) -> FloatArray:
-    count = max(2, int(np.ceil((high - low) / step)) + 1)
-    return np.linspace(low, high, count)
-
-
 def _spread(view: View, sag: float, t: FloatArray, attachment_u: float) -> FloatArray:
     """How far (N,) the attachments' uncertainty moves each sample across the curve, px (one standard deviation)."""
     base, _ = view.pixels(sag, 0.0, t)
