@@ -124,8 +124,7 @@ def test_the_points_choose_among_parallel_wires() -> None:
         wanted = truth + np.array([0, offset])
         result = fit_between(picture(image), *clicks(wanted, rng, 1.0))
         assert result.found, result.reasons
-        # nine pixels to the next wire: the right one, if pulled a little by its neighbours
-        assert np.median(distances(result, wanted)) < 2.0
+        assert np.median(distances(result, wanted)) < 0.35
 
 
 def test_a_tight_bundle_is_followed_along_its_middle() -> None:

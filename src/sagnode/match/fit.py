@@ -9,7 +9,7 @@ stand out, is hidden for the most part, or has an equal elsewhere is refused wit
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from sagnode.capture.port import GreyImage
 from sagnode.geometry.camera import FloatArray
 from sagnode.match.fit_curve import Curve, apart
-from sagnode.match.fit_follow import LEVEL_PX, follow, pyramid
+from sagnode.match.fit_follow import LEVEL_PX, Picture, follow, pyramid
 from sagnode.match.fit_judge import Verdict, judge
 from sagnode.match.fit_refine import Refined, refine, seen_share
 from sagnode.match.fit_search import search
@@ -37,6 +37,8 @@ CLEAR_SHARE = 0.8
 """An arc along which so much of a wire is seen ends the search for others, once the fewest were followed."""
 LEAST_SHARE = 0.5
 """Share of the blocks in which the wire must be seen."""
+LIKELY_SHARE = 0.5
+"""An arc along which so much is seen is tried again in parallel through the points, if it misses them."""
 LONGEST_END = 0.25
 """Greatest share at either end in which no wire is seen: beyond it the curve is a guess."""
 CHANCE = 1e-5
@@ -170,9 +172,10 @@ def candidates(image: GreyImage, anchors: FloatArray, slack: float) -> list[Cand
         followed.append((curve, seen_share(pictures[0], curve)))
         if number + 1 >= FEWEST and max(share for _, share in followed) > CLEAR_SHARE:
             break
+    followed += _parallels(pictures[0], followed, anchors, slack)
     finest = pictures[-1]
     found = []
-    for coarse, _ in _distinct(followed, 1.0)[:JUDGED]:
+    for coarse in _worth(followed, anchors, slack):
         curve = coarse
         for level, picture in enumerate(pictures[1:], start=1):
             curve = follow(picture, curve, anchors, slack, level)
@@ -183,6 +186,31 @@ def candidates(image: GreyImage, anchors: FloatArray, slack: float) -> list[Cand
         off = float(np.linalg.norm(final.evenly(2)[1] - anchors) / slack)
         found.append(Candidate(final, refined, verdict, off))
     return sorted(found, key=lambda one: -one.merit)
+
+
+def _worth(followed: list[tuple[Curve, float]], anchors: FloatArray, slack: float) -> list[Curve]:
+    """The few followed curves that are worth judging: those that show much of a wire near to the points."""
+
+    def missed(curve: Curve) -> float:
+        return float(np.linalg.norm(curve.control[[0, 2]] - anchors)) / slack
+
+    weighed = [(curve, share - 0.05 * max(missed(curve) - 1.5, 0.0)) for curve, share in followed]
+    return [curve for curve, _ in _distinct(weighed, 1.0)[:JUDGED]]
+
+
+def _parallels(
+    picture: Picture, followed: list[tuple[Curve, float]], anchors: FloatArray, slack: float
+) -> list[tuple[Curve, float]]:
+    """The curves that parallel a good one which misses the points: its neighbour may be the wire that was meant."""
+    good = _distinct(followed, 1.0)[:2]
+    found = []
+    for curve, share in good:
+        miss = anchors - curve.control[[0, 2]]
+        if share > LIKELY_SHARE and np.abs(miss).max() > slack:
+            moved = curve.control + np.stack([miss[0], miss.mean(axis=0), miss[1]])
+            neighbour = follow(picture, replace(curve, control=moved), anchors, slack, 0)
+            found.append((neighbour, seen_share(picture, neighbour)))
+    return found
 
 
 def _distinct(curves: list[tuple[Curve, float]], apart_px: float) -> list[tuple[Curve, float]]:
