@@ -35,16 +35,14 @@ JUDGED = 3
 """How many arcs are taken over from the map, how many at least are followed, and how many are judged."""
 CLEAR_SHARE = 0.8
 """An arc along which so much of a wire is seen ends the search for others, once the fewest were followed."""
-LEAST_SHARE = 0.5
-"""Share of the blocks in which the wire must be seen."""
 LIKELY_SHARE = 0.5
 """An arc along which so much is seen is tried again in parallel through the points, if it misses them."""
-LONGEST_END = 0.25
+LONGEST_END = 0.3
 """Greatest share at either end in which no wire is seen: beyond it the curve is a guess."""
-CHANCE = 1e-5
-"""Greatest probability that as many blocks look like the wire by chance."""
-OFF_TOLL = 0.015
-WEIGHT_TOLL = 0.2
+CLOSE = 3.0
+"""Log-odds by which a curve may fail and still be called a conductor of which too little is seen."""
+EQUAL = 0.7
+"""Difference of log-odds below which two curves are equally good."""
 USUAL_WEIGHT = 1.1
 APART_PX = 3.0
 """Distance at which two curves are two wires and not one."""
@@ -102,11 +100,24 @@ class Candidate:
         return float(self.refined.sure.mean())
 
     @property
-    def merit(self) -> float:
-        """What candidates are compared by: seen share, how clearly, and how far the points given were missed."""
-        # space gives weights near 1; a point missed by one standard uncertainty more costs what two blocks bring
-        odd = WEIGHT_TOLL * float(np.log(self.curve.weight / USUAL_WEIGHT)) ** 2
-        return self.share + self.verdict.strength / 30 - OFF_TOLL * self.off_anchors**2 - odd
+    def odds(self) -> float:
+        """Logarithm of the odds that this is the wire meant and not a chain of chances; 0 where it is believed.
+
+        A logistic regression over curves found between the ends of wires and between random points of pictures, sky,
+        trees, hills and buildings; coefficients rounded, those of the weight eased for cameras on the line itself.
+        """
+        refined, sure = self.refined, np.append(self.refined.fraction[self.refined.sure], 0.5)
+        unseen = max(sure.min(), 1 - sure.max()) if refined.sure.any() else 0.5
+        odd = math.log(self.curve.weight / USUAL_WEIGHT)
+        return (
+            12.0 * (float(refined.alone.mean()) - 0.67)
+            - 5.0 * (min(refined.residual_px, 1.0) - 0.25)
+            - (5.0 * odd if odd > 0 else -8.0 * odd)
+            + 1.7 * math.log(max(self.verdict.score, 0.5) / 8.0)
+            + 1.5 * math.log(min(len(refined.sure), 60) / 50.0)
+            - 0.8 * max(self.off_anchors - 1.5, 0.0)
+            - 5.0 * max(float(unseen) - 0.1, 0.0)
+        )
 
 
 def fit_between(
@@ -185,7 +196,7 @@ def candidates(image: GreyImage, anchors: FloatArray, slack: float) -> list[Cand
         final = refined.curve.moved(-finest.origin)
         off = float(np.linalg.norm(final.evenly(2)[1] - anchors) / slack)
         found.append(Candidate(final, refined, verdict, off))
-    return sorted(found, key=lambda one: -one.merit)
+    return sorted(found, key=lambda one: -one.odds)
 
 
 def _worth(followed: list[tuple[Curve, float]], anchors: FloatArray, slack: float) -> list[Curve]:
@@ -246,22 +257,18 @@ def visibility(sure: NDArray[np.bool_], by_chance: float) -> FloatArray:
 
 def _doubt(image: GreyImage, anchors: FloatArray, best: Candidate) -> Reason | None:
     """Why the best candidate is no conductor, or too little of one."""
-    sure = best.refined.sure
-    share, chance = best.share, float(np.clip(best.refined.by_chance, 0.15, 0.4))
-    by_luck = _tail(int(sure.sum()), len(sure), chance)
-    if by_luck > CHANCE or share < 0.5 * LEAST_SHARE:
-        return _nothing(image, anchors, share)
-    if share < LEAST_SHARE:
-        text = f"a line is seen along {share:.0%} of the curve only; choose points between which more of it is clear"
+    where = best.refined.fraction[best.refined.sure]
+    if len(where) and best.odds > -CLOSE:
+        for name, missing in (("first", where[0]), ("second", 1 - where[-1])):
+            if missing > LONGEST_END:
+                text = f"no line is seen along the {missing:.0%} next to the {name} point; move it to where one is"
+                return Reason(Cause.TOO_LITTLE_VISIBLE, text)
+    if best.odds > 0:
+        return None
+    if best.odds > -CLOSE and best.share > 0.5:
+        text = f"a line is seen along {best.share:.0%} of the curve, too little to be sure of it; choose clearer points"
         return Reason(Cause.TOO_LITTLE_VISIBLE, text)
-    where = best.refined.fraction[sure]
-    for name, missing in (("first", where[0]), ("second", 1 - where[-1])):
-        if missing > LONGEST_END:
-            text = (
-                f"no line is seen along the {missing:.0%} next to the {name} point; move it to where the wire is seen"
-            )
-            return Reason(Cause.TOO_LITTLE_VISIBLE, text)
-    return None
+    return _nothing(image, anchors, best.share)
 
 
 def _rival(best: Candidate, others: list[Candidate]) -> Reason | None:
@@ -271,7 +278,7 @@ def _rival(best: Candidate, others: list[Candidate]) -> Reason | None:
         distance = np.sqrt((between**2).sum(axis=2)).min(axis=1)
         apart = np.interp(other.refined.fraction, np.linspace(0, 1, 65), distance) > APART_PX
         there = np.interp(best.refined.fraction, other.refined.fraction, apart.astype(float)) > 0.5
-        if apart.mean() < 0.4 or not there.any() or other.off_anchors > best.off_anchors + 1.0:
+        if apart.mean() < 0.4 or not there.any() or other.odds < max(0.0, best.odds - EQUAL):
             continue
         if other.refined.sure[apart].mean() > best.refined.sure[there].mean() - 0.05:
             text = f"two lines {np.median(distance):.0f} px apart fit the two points equally well"
@@ -292,11 +299,6 @@ def _nothing(image: GreyImage, anchors: FloatArray, share: float = 0.0) -> Reaso
         return Reason(Cause.LOW_CONTRAST, text)
     seen = f"the best line is seen along {share:.0%} of its length" if share else "no line leads from one to the other"
     return Reason(Cause.NO_CONDUCTOR, f"no conductor stands out between the points: {seen}; check the two points")
-
-
-def _tail(hits: int, count: int, chance: float) -> float:
-    """Probability of at least ``hits`` of ``count`` independent blocks at this chance each (binomial)."""
-    return sum(math.comb(count, k) * chance**k * (1 - chance) ** (count - k) for k in range(hits, count + 1))
 
 
 def draw_fit(image: GreyImage, result: FitResult) -> NDArray[np.uint8]:
