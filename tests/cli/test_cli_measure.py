@@ -41,6 +41,13 @@ def test_readings_hold_the_truth(lab: Path, capsys: Capture) -> None:
         assert reading["sag_m"] == pytest.approx(true["sag_m"], rel=0.02)
         assert reading["clearance_lo"] <= true["clearance_m"] <= reading["clearance_hi"]
         assert reading["clearance_hi"] - reading["clearance_lo"] < 0.01
+        (x0, y0), _, (x2, y2) = reading["curve"]["control_points"]
+        w0, w1, w2 = reading["curve"]["weights"]
+        (x1, y1) = reading["curve"]["control_points"][1]
+        total = w0 + 2 * w1 + w2
+        middle = ((w0 * x0 + 2 * w1 * x1 + w2 * x2) / total, (w0 * y0 + 2 * w1 * y1 + w2 * y2) / total)
+        # the middle of the curve lies on the true one, but for a slight distortion and the catenary's departure
+        assert min(abs(middle[1] - v) for u, v in true["pixels"] if abs(u - middle[0]) < 30) < 4.0
 
 
 def test_a_reading_has_every_field_of_the_message_that_a_picture_can_have(lab: Path, capsys: Capture) -> None:
@@ -49,7 +56,7 @@ def test_a_reading_has_every_field_of_the_message_that_a_picture_can_have(lab: P
     _, readings = measure(lab, capsys, frames(lab)[0], "--budget")
     daemons = {"schema_version", "utility", "line", "span", "unit", "sequence", "acquired_at", "published_at"}
     daemons |= {"clock_synced", "boot_id", "monotonic_s", "backfill"}
-    assert set(readings[0]) == (set(Reading.model_fields) - daemons) | {"images", "overlay", "budget"}
+    assert set(readings[0]) == (set(Reading.model_fields) - daemons) | {"images", "overlay", "curve", "budget"}
     sag = Estimate(*(readings[0][f"sag_{part}"] for part in ("m", "u", "lo", "hi")))
     parts = readings[0]["budget"]["sag"].values()
     assert np.sqrt(sum(part**2 for part in parts)) == pytest.approx(sag.u, rel=0.35)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import sys
 import typing
 from collections.abc import Iterator
@@ -82,6 +83,7 @@ def run(args: argparse.Namespace) -> int:
                 document |= {
                     "images": [str(image) for image in shot.images],
                     "overlay": str(drawn) if drawn else None,
+                    "curve": _curve(measurement),
                     "calibration_id": site.calibration_id,
                     "configuration_id": loaded.configuration_id,
                 }
@@ -105,6 +107,18 @@ def _measure(configured: Measure, args: argparse.Namespace) -> Measure:
     if args.no_undistort:
         changes["undistort"] = False
     return configured.model_copy(update=changes)
+
+
+def _curve(measurement: ConductorMeasurement) -> dict[str, Any] | None:
+    """Control points (px) and weights of the conductor's parabola through a perfect lens; None where there are none."""
+    if measurement.drawing is None or not measurement.estimates:
+        return None
+    points, weights = measurement.drawing.rational
+    numbers = [*points.ravel().tolist(), *weights.tolist()]
+    if not all(math.isfinite(number) for number in numbers):
+        # a hyperbolic cosine has no control points
+        return None
+    return {"kind": "rational-quadratic-bezier", "control_points": points.tolist(), "weights": weights.tolist()}
 
 
 def _shots(site: Site, paths: list[Path], *, burst: bool, progress: bool) -> Iterator[Shot]:

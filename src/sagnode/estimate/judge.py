@@ -19,7 +19,7 @@ FLAT_DEVIATION = 2.5
 SCORE_MIN = 8.0
 """Robust z-score over the shifted curves below which a wire is not proven."""
 SUPPORT_MIN = 0.30
-"""Least share of the blocks in view that must lie on the curve; without a wire about one in ten does by chance."""
+"""Least share of the curve in view that must stand out; a window does so by chance once in twenty."""
 VISIBLE_MIN = 0.20
 VISIBLE_GOOD = 0.33
 """Shares of the span that must be seen for a questionable and for a good reading."""

@@ -41,7 +41,7 @@ RIVAL_APART_PX = 3.0
 RIVAL_MIN_PX = 16
 RIVAL_WORTH_A_LOOK = 0.6
 RIVAL_RESPONSE = 2.0
-"""Mean response, in grey levels, below which a stretch of curve lies on nothing: texture gives less than half of it."""
+"""Mean response, in grey levels, below which a stretch of curve is taken to lie on nothing."""
 
 
 @dataclass(frozen=True)

@@ -106,9 +106,3 @@ def _kernel_path(seen: Look) -> NDArray[np.intp]:
     paths = [np.rint(a + (b - a) * seen.fraction).astype(np.intp) for a in number for b in number]
     rows = np.arange(here.shape[1])
     return max(paths, key=lambda path: float(here[path, rows].sum()))
-
-
-def gaps(found: NDArray[np.bool_]) -> int:
-    """Length of the longest run of blocks without the wire."""
-    edges = np.flatnonzero(np.concatenate([[True], found, [True]]))
-    return int(np.diff(edges).max() - 1)

@@ -17,7 +17,7 @@ from sagnode.capture.port import GreyImage
 from sagnode.geometry.camera import FloatArray
 
 NCC_MIN = 0.55
-"""Least correlation of a landmark with its patch; unrelated textures reach this in far fewer than one of a hundred."""
+"""Least correlation of a landmark with its patch; chance company is left to the consensus to refuse."""
 AGREE_PX = 4.0
 """Landmarks that differ more than this from the shared shift, turn and scale are no longer themselves."""
 TRACK_U_PX = 0.06

@@ -26,8 +26,8 @@ RANK_MIN = 0.9
 NEIGHBOURS = 3
 """A block counts only if at least this many of the three blocks to either side see the wire where it would run on.
 
-Background texture passes the rank test in three blocks of ten, but at unrelated offsets; lone blocks of it would pull
-an unseen stretch of the curve and, worse, make it look certain.
+Background texture passes the rank test now and then, but at unrelated offsets; lone blocks of it would pull an unseen
+stretch of the curve and, worse, make it look certain.
 """
 NEIGHBOUR_PX = 0.8
 NEIGHBOUR_SLOPE = 0.06
