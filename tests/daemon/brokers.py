@@ -99,7 +99,7 @@ class Subscriber:
             time.sleep(0.01)
 
 
-def make_certificates(directory):
+def make_certificates(directory, *, key_usage=True):
     """A CA, a server certificate for localhost, a client certificate, and another CA's client certificate."""
 
     def run(*words):
@@ -107,11 +107,15 @@ def make_certificates(directory):
 
     for ca in ("ca", "other"):
         run("req", "-x509", "-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:P-256", "-nodes", "-days", "2",
+            *(["-addext", "keyUsage=critical,keyCertSign,cRLSign"] if key_usage else []),
             "-subj", f"/CN={ca}", "-keyout", f"{ca}.key", "-out", f"{ca}.crt")  # fmt: skip
-    (directory / "server.ext").write_text("subjectAltName=DNS:localhost\n")
+    # Python 3.13 verifies strictly (RFC 5280): a CA without key usage, or a key without its issuer's mark, is refused
+    identifiers = "subjectKeyIdentifier=hash\nauthorityKeyIdentifier=keyid\n"
+    (directory / "client.ext").write_text(identifiers)
+    (directory / "server.ext").write_text(f"{identifiers}subjectAltName=DNS:localhost\n")
     for name, ca in (("server", "ca"), ("client", "ca"), ("stranger", "other")):
         run("req", "-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:P-256", "-nodes", "-subj", f"/CN={name}",
             "-keyout", f"{name}.key", "-out", f"{name}.csr")  # fmt: skip
-        extension = ["-extfile", "server.ext"] if name == "server" else []
+        extension = ["-extfile", "server.ext" if name == "server" else "client.ext"]
         run("x509", "-req", "-in", f"{name}.csr", "-CA", f"{ca}.crt", "-CAkey", f"{ca}.key", "-CAcreateserial",
             "-days", "2", "-out", f"{name}.crt", *extension)  # fmt: skip

@@ -429,3 +429,23 @@ class Deaf:
 
     def __exit__(self, *_):
         self._server.close()
+
+
+def test_a_ca_from_before_rfc_5280_is_told_with_its_remedy(tmp_path):
+    """Python 3.13 refuses such a CA; earlier ones take it, so there the same strictness is asked of the context."""
+    make_certificates(tmp_path, key_usage=False)
+    strict = ssl.create_default_context(cafile=tmp_path / "ca.crt")
+    strict.verify_flags |= ssl.VERIFY_X509_STRICT
+    server = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    server.load_cert_chain(tmp_path / "server.crt", tmp_path / "server.key")
+    ours, theirs = ssl.MemoryBIO(), ssl.MemoryBIO()
+    client_side = strict.wrap_bio(ours, theirs, server_hostname="localhost")
+    server_side = server.wrap_bio(theirs, ours, server_side=True)
+    for side in (client_side, server_side):
+        with pytest.raises(ssl.SSLWantReadError):
+            side.do_handshake()
+    with pytest.raises(ssl.SSLCertVerificationError) as refused:
+        client_side.do_handshake()
+    said = Broker("localhost", 8883, "unit").explain(refused.value)
+    assert said.startswith("localhost:8883")
+    assert "keyUsage" in said

@@ -76,6 +76,11 @@ class Broker:
         match error:
             case ssl.SSLCertVerificationError():
                 remedy = "check mqtt.host, mqtt.tls.ca_file and the node's clock"
+                if "does not include" in error.verify_message or "Missing" in error.verify_message:
+                    # Python 3.13 and later verify as RFC 5280 demands; many private authorities are older
+                    remedy = (
+                        "issue the CA anew with keyUsage keyCertSign, the others with their key identifiers (RFC 5280)"
+                    )
                 return f"{where}: its certificate is not accepted ({error.verify_message}); {remedy}"
             case ssl.SSLError():
                 return f"{where}: TLS fails ({error.reason or error}); check mqtt.port and the files of [mqtt.tls]"
