@@ -90,17 +90,17 @@ def score_map(source: GreyImage, template: GreyImage, mode: Mode) -> NDArray[np.
 
 
 def anchored_score(
-    source: GreyImage, template: GreyImage, top_left: NDArray[np.int_], mode: Mode, whole_map: bool = True
+    source: GreyImage, template: GreyImage, top_left: NDArray[np.int_], mode: Mode
 ) -> tuple[float, NDArray[np.int_]] | None:
     """Best score of a template that starts within 1 px of its place, and the shift (2,) from that place.
+
+    The template is correlated over the whole source and nine places are read, as the paper does.
 
     Args:
         source: edges of the region of interest.
         template: drawn curve.
         top_left: the template's top-left pixel in the source when its start lies on the anchor.
         mode: of cv2.matchTemplate.
-        whole_map: correlate over the whole source and read nine places, as the paper does; otherwise correlate around
-            these nine places only, which gives the same nine scores.
 
     Returns:
         None if the template does not fit into the source at any of the nine places.
@@ -110,22 +110,14 @@ def anchored_score(
     high = np.minimum(top_left + 1, np.array([source.shape[1] - width, source.shape[0] - height]))
     if np.any(high < low):
         return None
-    if whole_map:
-        scores = score_map(source, template, mode)[low[1] : high[1] + 1, low[0] : high[0] + 1]
-    else:
-        scores = score_map(source[low[1] : high[1] + height, low[0] : high[0] + width], template, mode)
+    scores = score_map(source, template, mode)[low[1] : high[1] + 1, low[0] : high[0] + 1]
     scores = np.where(np.isfinite(scores), scores, -np.inf)
     row, column = np.unravel_index(int(np.argmax(scores)), scores.shape)
     return float(scores[row, column]), low + np.array([column, row]) - top_left
 
 
 def best_match(
-    image: GreyImage,
-    library: Iterable[Template],
-    roi: Roi,
-    canny: tuple[float, float],
-    mode: Mode,
-    whole_map: bool = True,
+    image: GreyImage, library: Iterable[Template], roi: Roi, canny: tuple[float, float], mode: Mode
 ) -> Match | None:
     """The template with the highest score among those that start within 1 px of their anchor.
 
@@ -135,7 +127,6 @@ def best_match(
         roi: where to look; templates that reach out of it cannot be matched.
         canny: lower and upper threshold.
         mode: of cv2.matchTemplate.
-        whole_map: see :func:`anchored_score`.
 
     Returns:
         None if no template fits into the region, or none correlates with its edges at all. The paper knows no other
@@ -148,9 +139,12 @@ def best_match(
     best: Match | None = None
     for index, template in enumerate(library):
         drawn, origin = draw_template(template.points)
-        found = anchored_score(source, drawn, origin - np.array([left, top]), mode, whole_map)
+        found = anchored_score(source, drawn, origin - np.array([left, top]), mode)
         if found is not None and (best is None or found[0] > best.score):
             best = Match(template.moved(found[1].astype(float)), found[0], index)
-    if best is not None and mode.startswith("TM_CCOEFF") and best.score <= 0:
-        return None
-    return best
+    return best if best is None or correlates(best.score, mode) else None
+
+
+def correlates(score: float, mode: Mode) -> bool:
+    """Whether a best score says that anything was found at all; only the correlation coefficients have a zero."""
+    return not mode.startswith("TM_CCOEFF") or score > 0

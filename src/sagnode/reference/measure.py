@@ -12,6 +12,7 @@ from sagnode.geometry.camera import FloatArray, Intrinsics, distort, project
 from sagnode.measurement import Drawing, FrameMeasurement
 from sagnode.message import Estimate
 from sagnode.quality import Cause, Reason, Validity
+from sagnode.reference.anchored import best_anchored
 from sagnode.reference.bezier import lowest_point
 from sagnode.reference.library import Scene, bezier_library, cosh_library, perspective_library
 from sagnode.reference.matching import TOP_QUADRANTS, Match, Mode, Roi, best_match
@@ -86,7 +87,8 @@ def _measure(site: Site, conductor: SiteConductor, image: GreyImage, settings: S
         sags=np.linspace(*survey.sag_range, settings.templates),
     )
     templates = list(_LIBRARIES[site.method](scene))
-    match = best_match(image, templates, settings.roi, settings.canny, settings.mode, settings.whole_map)
+    search = best_match if settings.whole_map else best_anchored
+    match = search(image, templates, settings.roi, settings.canny, settings.mode)
     if match is None:
         text = (
             f"method {site.method}: none of its {len(templates)} curves for {conductor.id} matches an edge within the"
