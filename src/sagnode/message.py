@@ -24,8 +24,13 @@ class Quantity(NamedTuple):
 
     @property
     def value_field(self) -> str:
-        """Name of the field that holds the value, e.g. ``sag_m``."""
-        return f"{self.stem}_{self.unit}"
+        """Name of the field that holds the value, e.g. ``sag_m``; a mere number has no unit to name."""
+        return f"{self.stem}_{self.unit}" if self.unit else self.stem
+
+    @property
+    def fields(self) -> tuple[str, str, str, str]:
+        """Names of the fields that hold value, standard uncertainty, and the interval's lower and upper end."""
+        return self.value_field, f"{self.stem}_u", f"{self.stem}_lo", f"{self.stem}_hi"
 
 
 QUANTITIES: tuple[Quantity, ...] = (
@@ -42,6 +47,7 @@ QUANTITIES: tuple[Quantity, ...] = (
     Quantity("midspan_clearance", "m", "vertical distance to the ground at mid-span"),
     Quantity("catenary_constant", "m", "horizontal tension over unit weight, H/w"),
     Quantity("tension", "n", "horizontal tension H, where the unit weight is configured"),
+    Quantity("load_skew", "", "uneven load: how much heavier than the mean the span hangs at B, and lighter at A"),
     Quantity("conductor_temp", "c", "derived by the state-change equation from stringing data, where configured"),
 )
 
@@ -131,8 +137,9 @@ class ReadingHeader(Strict):
 
 def _quantity_fields() -> dict[str, Any]:
     fields: dict[str, Any] = {}
-    for stem, unit, meaning in QUANTITIES:
-        fields[f"{stem}_{unit}"] = (float | None, Field(default=None, description=meaning))
+    for quantity in QUANTITIES:
+        stem = quantity.stem
+        fields[quantity.value_field] = (float | None, Field(default=None, description=quantity.meaning))
         fields[f"{stem}_u"] = (float | None, Field(default=None, ge=0, description=f"standard uncertainty of {stem}"))
         fields[f"{stem}_lo"] = (
             float | None,
@@ -160,17 +167,16 @@ def estimate_fields(estimates: dict[str, Estimate]) -> dict[str, float]:
     ['sag_hi', 'sag_lo', 'sag_m', 'sag_u']
     """
     fields: dict[str, float] = {}
-    for stem, unit, _ in QUANTITIES:
-        if stem in estimates:
-            value, u, lo, hi = estimates[stem]
-            fields.update({f"{stem}_{unit}": value, f"{stem}_u": u, f"{stem}_lo": lo, f"{stem}_hi": hi})
+    for quantity in QUANTITIES:
+        if quantity.stem in estimates:
+            fields.update(zip(quantity.fields, estimates[quantity.stem], strict=True))
     return fields
 
 
 def reading_estimate(reading: ReadingHeader, stem: str) -> Estimate | None:
     """The estimate of one quantity of a reading, or None where it is null."""
     quantity = next(q for q in QUANTITIES if q.stem == stem)
-    values = [getattr(reading, name) for name in (quantity.value_field, f"{stem}_u", f"{stem}_lo", f"{stem}_hi")]
+    values = [getattr(reading, name) for name in quantity.fields]
     return None if any(v is None for v in values) else Estimate(*values)
 
 

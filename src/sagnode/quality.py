@@ -53,6 +53,7 @@ class Cause(StrEnum):
     FRAMES_DISAGREE = "frames-disagree"
     WIND_SWING = "wind-swing"
     THERMAL_TREND = "thermal-trend"
+    ICE_SUSPECT = "ice-suspect"
     # the node
     DEADLINE = "deadline"
     WORKER_CRASHED = "worker-crashed"
@@ -78,6 +79,7 @@ DETAIL_QUAL: dict[Cause, DetailQual] = {
     Cause.FRAMES_DISAGREE: DetailQual.OSCILLATORY,
     Cause.WIND_SWING: DetailQual.OSCILLATORY,
     Cause.THERMAL_TREND: DetailQual.INCONSISTENT,
+    Cause.ICE_SUSPECT: DetailQual.INCONSISTENT,
     Cause.DEADLINE: DetailQual.FAILURE,
     Cause.WORKER_CRASHED: DetailQual.FAILURE,
     Cause.WORKER_GARBAGE: DetailQual.FAILURE,

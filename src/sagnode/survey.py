@@ -1,12 +1,12 @@
 r"""What is known of camera and conductor before looking, as the unknowns θ of the joint estimate and their prior.
 
-Unknowns θ, all small corrections to the survey but sag and swing::
+Unknowns θ, all small corrections to the survey but sag, swing and load::
 
     0:3  turn of the camera, rad, camera frame        10:13  shift of attachment A, m
     3:6  shift of the camera, m, site frame           13:16  shift of attachment B, m
     6    relative change of the focal length          16     in-plane sag D, m
     7:9  shift of the principal point, px             17     swing φ, rad
-    9    change of k1
+    9    change of k1                                 18:24  terms of an uneven load
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sagnode.geometry.camera import FloatArray, Intrinsics, Pose, turned
 from sagnode.geometry.quantities import Shape
@@ -21,7 +22,8 @@ from sagnode.geometry.quantities import Shape
 CAMERA = slice(0, 10)
 ATTACHMENTS = slice(10, 16)
 SAG, SWING = 16, 17
-SIZE = 18
+LOAD = slice(18, 24)
+SIZE = 24
 
 
 @dataclass(frozen=True)
@@ -42,9 +44,11 @@ class Survey:
     sag_range: tuple[float, float]
     swing_u: float
     """rad"""
+    load_u: float = 0.0
+    """Of each term of an uneven load, relative to the mean load; 0 takes the load for even."""
 
     def prior_sigma(self) -> FloatArray:
-        """Standard uncertainties of θ (18,); sag has a prior so wide that it says nothing within its range."""
+        """Standard uncertainties of θ (24,); sag has a prior so wide that it says nothing within its range."""
         sigma = np.empty(SIZE)
         sigma[0:3] = self.orientation_u
         sigma[3:6] = self.position_u
@@ -54,14 +58,19 @@ class Survey:
         sigma[ATTACHMENTS] = self.attachment_u
         sigma[SAG] = 10 * (self.sag_range[1] - self.sag_range[0])
         sigma[SWING] = self.swing_u
+        sigma[LOAD] = self.load_u
         # what is stated as exactly known still needs a positive variance
         return np.maximum(sigma, 1e-9)
 
     def prior_mean(self) -> FloatArray:
-        """θ₀ (18,): the survey itself, sag in the middle of its range, no swing."""
+        """θ₀ (24,): the survey itself, sag in the middle of its range, no swing, an even load."""
         mean = np.zeros(SIZE)
         mean[SAG] = 0.5 * (self.sag_range[0] + self.sag_range[1])
         return mean
+
+    def unknowns(self) -> NDArray[np.intp]:
+        """Which of θ are unknown at all: an even load has no terms."""
+        return np.arange(SIZE if self.load_u > 0 else LOAD.start)
 
     def camera(self, theta: FloatArray) -> tuple[Intrinsics, Pose]:
         """Camera at θ."""
@@ -82,4 +91,5 @@ class Survey:
 
     def shape(self, theta: FloatArray) -> Shape:
         """Conductor at θ."""
-        return Shape(self.near + theta[10:13], self.far + theta[13:16], float(theta[SAG]), float(theta[SWING]))
+        load = tuple(theta[LOAD]) if self.load_u > 0 else ()
+        return Shape(self.near + theta[10:13], self.far + theta[13:16], float(theta[SAG]), float(theta[SWING]), load)

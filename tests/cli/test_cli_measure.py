@@ -79,8 +79,8 @@ def test_bad_pictures_are_invalid_with_their_reason_and_the_good_one_is_measured
         reading = by_picture[path.name]
         assert reading["quality"]["validity"] == "invalid"
         assert reading["quality"]["reasons"][0]["text"]
-        for stem, unit, _ in QUANTITIES:
-            assert [reading[f"{stem}_{part}"] for part in (unit, "u", "lo", "hi")] == [None] * 4
+        for quantity in QUANTITIES:
+            assert [reading[name] for name in quantity.fields] == [None] * 4
     assert by_picture["gone.png"]["quality"]["reasons"][0]["cause"] == Cause.BAD_FRAME
     assert by_picture["black.png"]["quality"]["reasons"][0]["cause"] == Cause.DARK
     assert by_picture[good.name]["quality"]["validity"] == "good"

@@ -12,6 +12,7 @@ from sagnode.geometry.conductor import (
     conductor_points,
     control_points,
     gravity_direction,
+    load_shapes,
     sag_profile,
 )
 
@@ -94,12 +95,36 @@ def test_parabola_of_the_control_points_is_within_the_known_departure() -> None:
     assert 1e-4 < departure < 10.0 * 0.05**2
 
 
+@pytest.mark.parametrize("term", [1, 2, 3, 4, 6])
+def test_terms_of_an_uneven_load_are_its_bending_moments(term: int) -> None:
+    """The depth below the chord is the moment of the load on a simple beam, here summed from many small weights."""
+    weights = 4000
+    place = (np.arange(weights) + 0.5) / weights
+    load = np.polynomial.legendre.Legendre.basis(term)(2 * place - 1) / weights
+    s = np.linspace(0.0, 1.0, 41)
+    # moment at s of a unit weight at a, on a beam of length 1 between supports
+    moment = (np.minimum(s[:, None], place) * (1 - np.maximum(s[:, None], place))) @ load
+    # an even load of 1 has the moment 1/8 at mid-span, where its depth is D
+    np.testing.assert_allclose(load_shapes(s, term)[term - 1], 8 * moment, atol=1e-6)
+
+
+def test_first_term_of_an_uneven_load_is_the_skew_of_the_bezier() -> None:
+    near, far = np.array([0.0, 0.0, 20.0]), np.array([0.0, 200.0, 25.0])
+    t = np.linspace(0, 1, 101)
+    a, handle, b = control_points(near, far, 2.0, 0.0, 0.5 + 0.06 / 6)
+    bezier = ((1 - t) ** 2)[:, None] * a + (2 * t * (1 - t))[:, None] * handle + (t**2)[:, None] * b
+    heights = np.interp(200.0 * t, bezier[:, 1], bezier[:, 2])
+    # to first order in the skew: 0.06² of the sag remains, and interpolation
+    np.testing.assert_allclose(conductor_points(near, far, 2.0, 0.0, t, [0.06])[:, 2], heights, atol=2e-3)
+
+
 def test_many_curves_at_once_equal_one_by_one() -> None:
     near, far = np.array([0.0, 0.0, 20.0]), np.array([3.0, 200.0, 25.0])
     sags, swings, t = np.array([3.0, 7.0]), np.array([0.0, -0.2]), np.linspace(0, 1, 7)
-    together = conductor_points(near, far, sags, swings, t, np.array([0.5, 0.48]))
-    for i, skew in enumerate((0.5, 0.48)):
-        alone = conductor_points(near, far, sags[i], swings[i], t, skew)
+    loads = np.array([[0.0, 0.0], [0.2, -0.1]])
+    together = conductor_points(near, far, sags, swings, t, loads)
+    for i, load in enumerate(loads):
+        alone = conductor_points(near, far, sags[i], swings[i], t, load)
         np.testing.assert_allclose(together[i], alone, rtol=1e-12)
     shifted = conductor_points(np.stack([near, near + 1.0]), np.stack([far, far]), sags, swings, t)
     np.testing.assert_allclose(shifted[1], conductor_points(near + 1.0, far, 7.0, -0.2, t), rtol=1e-12)

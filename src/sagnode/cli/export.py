@@ -71,7 +71,7 @@ def _opened(path: Path | None) -> Iterator[TextIO]:
 
 def columns() -> list[str]:
     """Names of the CSV's columns."""
-    quantities = [f"{stem}_{part}" for stem, unit, _ in QUANTITIES for part in (unit, "u", "lo", "hi")]
+    quantities = [name for quantity in QUANTITIES for name in quantity.fields]
     return [*HEADER, "validity", "detail_qual", "causes", "test", *quantities, *TRAILER, "delivery", "delivered_at"]
 
 

@@ -65,11 +65,11 @@ def _table(readings: list[Stored]) -> str:
 def estimates(document: dict[str, Any]) -> dict[str, Estimate]:
     """The quantities of a published reading that are not null, by stem."""
     found = {}
-    for stem, unit, _ in QUANTITIES:
-        values = [document.get(f"{stem}_{part}") for part in (unit, "u", "lo", "hi")]
+    for quantity in QUANTITIES:
+        values = [document.get(name) for name in quantity.fields]
         known = [float(value) for value in values if value is not None]
         if len(known) == 4:
-            found[stem] = Estimate(*known)
+            found[quantity.stem] = Estimate(*known)
     return found
 
 

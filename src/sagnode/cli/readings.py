@@ -37,8 +37,8 @@ def reading_document(measurement: ConductorMeasurement, *, test: bool, budget: b
         "method": measurement.method,
         "software_version": __version__,
     }
-    for stem, unit, _ in QUANTITIES:
-        document |= dict.fromkeys((f"{stem}_{unit}", f"{stem}_u", f"{stem}_lo", f"{stem}_hi"))
+    for quantity in QUANTITIES:
+        document |= dict.fromkeys(quantity.fields)
     if measurement.validity is not Validity.INVALID:
         document |= estimate_fields(measurement.estimates)
     if budget:

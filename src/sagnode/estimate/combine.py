@@ -12,6 +12,7 @@ from sagnode.quality import Cause, Reason, Validity
 DISAGREE_Z = 4.0
 """Frames that scatter more than this many of their random uncertainties, and 3 cm, disagree: wind, or a mistake."""
 OUTLIER_Z = 4.5
+"""Frames farther than this many of their usual scatter from the median are left out."""
 
 
 def combine_burst(frames: list[list[FrameMeasurement]]) -> list[ConductorMeasurement]:
@@ -30,7 +31,10 @@ def _combine(frames: list[FrameMeasurement]) -> ConductorMeasurement:
     sags = np.array([f.estimates["sag"].value for f in told])
     centre = float(np.median(sags))
     spread = 1.4826 * float(np.median(np.abs(sags - centre)))
-    kept = [f for f, sag in zip(told, sags, strict=True) if abs(sag - centre) <= OUTLIER_Z * max(spread, 0.005)]
+    # few frames may agree by chance far better than their noise lets them
+    noise = float(np.median([f.budget["sag"].get("pixel noise", 0.0) for f in told]))
+    usual = max(spread, noise, 0.005)
+    kept = [f for f, sag in zip(told, sags, strict=True) if abs(sag - centre) <= OUTLIER_Z * usual]
     nearest = min(kept, key=lambda f: abs(f.estimates["sag"].value - centre))
     validity = max((f.validity for f in kept), key=lambda v: v is Validity.QUESTIONABLE)
     reasons = tuple({r.cause: r for f in kept for r in f.reasons}.values())

@@ -251,7 +251,7 @@ def _refine(
             measured=(observed.pixel + observed.offset[:, None] * observed.normal)[use],
             sigma=observed.sigma[use],
         )
-        solution = solve(survey, theta, registered.landmarks, offsets, stage.iterations)
+        solution = solve(survey, theta, registered.camera, offsets, stage.iterations)
         theta = solution.theta
     if solution is None or observed is None:
         return None

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sagnode.capture.port import GreyImage
-from sagnode.estimate.joint import LandmarkObservations, Solution, solve
+from sagnode.estimate.joint import NOTHING_KNOWN, CameraKnowledge, CameraSolution, LandmarkObservations, solve_camera
 from sagnode.geometry.camera import FloatArray
 from sagnode.match.landmarks import Tracked, track
 from sagnode.quality import Cause, Reason
@@ -30,6 +30,8 @@ class Registered:
     """The camera in one frame, as the landmarks show it."""
 
     theta: FloatArray
+    camera: CameraKnowledge
+    """What the landmarks say, for the conductors' estimates."""
     landmarks: LandmarkObservations | None
     tracked: Tracked | None
     residual_px: float | None
@@ -41,7 +43,7 @@ def register(site: Site, image: GreyImage) -> tuple[Registered, list[Reason]]:
     survey = site.conductors[0].survey
     start = survey.prior_mean()
     if not len(site.landmark_ids):
-        return Registered(start, None, None, None, None), []
+        return Registered(start, NOTHING_KNOWN, None, None, None, None), []
     if site.patches is None:
         # no reference picture: the clicks say where the camera looked when it was surveyed, not where it looks now;
         # what it may have swayed since is common to all of them, so that their number must not make it smaller
@@ -52,8 +54,8 @@ def register(site: Site, image: GreyImage) -> tuple[Registered, list[Reason]]:
             site.landmark_clicks,
             np.hypot(site.landmark_click_u, sway),
         )
-        solution = solve(survey, start, seen, None)
-        return Registered(solution.theta, seen, None, _landmark_rms(solution), None), []
+        solution = solve_camera(survey, seen)
+        return Registered(solution.theta, solution.knowledge, seen, None, _landmark_rms(solution), None), []
     tracked = track(image, list(site.patches), site.max_movement_px + 8)
     possible = int(tracked.visible.sum())
     needed = min(max(MIN_LANDMARKS, math.ceil(MIN_SHARE * possible)), max(1, possible))
@@ -62,7 +64,7 @@ def register(site: Site, image: GreyImage) -> tuple[Registered, list[Reason]]:
             f"{tracked.count} of {possible} landmarks recognised (needs {needed}): fog, night, a covered lens"
             " or a camera that looks elsewhere"
         )
-        return Registered(start, None, tracked, None, None), [Reason(Cause.LANDMARKS_LOST, text)]
+        return Registered(start, NOTHING_KNOWN, None, tracked, None, None), [Reason(Cause.LANDMARKS_LOST, text)]
     keep = tracked.found
     shift = np.median(tracked.pixels[keep] - site.landmark_clicks[keep], axis=0)
     movement = float(np.hypot(*shift))
@@ -73,16 +75,16 @@ def register(site: Site, image: GreyImage) -> tuple[Registered, list[Reason]]:
         np.hypot(site.landmark_click_u[keep], tracked.sigma[keep]),
     )
     moved = moved_survey(survey, movement)
-    solution = solve(moved, start, seen, None)
+    solution = solve_camera(moved, seen)
     residual = _landmark_rms(solution)
-    registered = Registered(solution.theta, seen, tracked, residual, movement)
+    registered = Registered(solution.theta, solution.knowledge, seen, tracked, residual, movement)
     if movement > site.max_movement_px:
         text = f"the landmarks have moved by {movement:.0f} px (limit {site.max_movement_px:g}); survey the camera anew"
         return registered, [Reason(Cause.CAMERA_MOVED, text)]
-    if solution.landmark_z > RESIDUAL_MAX:
+    if solution.z > RESIDUAL_MAX:
         text = (
             f"the landmarks fit no place of the camera: residual {residual:.1f} px,"
-            f" {solution.landmark_z:.1f} times what survey and clicks allow; check both"
+            f" {solution.z:.1f} times what survey and clicks allow; check both"
         )
         return registered, [Reason(Cause.BAD_CALIBRATION, text)]
     return registered, []
@@ -94,7 +96,7 @@ def moved_survey(survey: Survey, movement_px: float) -> Survey:
     return replace(survey, orientation_u=float(np.hypot(survey.orientation_u, sway)))
 
 
-def _landmark_rms(solution: Solution) -> float:
-    weight = solution.landmark_weight
-    squared = np.sum(solution.landmark_residual**2, axis=1) / 2
+def _landmark_rms(solution: CameraSolution) -> float:
+    weight = solution.weight
+    squared = np.sum(solution.residual**2, axis=1) / 2
     return float(np.sqrt(np.sum(weight * squared) / max(float(weight.sum()), 1e-9)))

@@ -11,12 +11,12 @@ from sagnode.estimate.judge import exceeded
 from sagnode.estimate.locate import Matched, on_curve, visible_share
 from sagnode.estimate.register import Registered
 from sagnode.geometry.camera import FloatArray, project
-from sagnode.geometry.quantities import Shape, clearance_place_u, conductor_temperature, quantities
+from sagnode.geometry.quantities import Shape, clearance_place_u, conductor_temperature, quantities, quantities_of_many
 from sagnode.measurement import Drawing, FrameMeasurement
 from sagnode.message import Estimate
 from sagnode.quality import Reason, Validity
 from sagnode.site import Site, SiteConductor
-from sagnode.survey import SAG, SIZE, SWING
+from sagnode.survey import LOAD, SAG, SIZE, SWING, Survey
 
 K95 = 1.96
 """Coverage factor of a 95 % interval of a normal quantity; linear propagation was found sufficient by Monte Carlo."""
@@ -24,7 +24,8 @@ TEMPERATURE_SWING = np.radians(5.0)
 """Beyond this swing the wind's pull is in the sag, and no temperature is derived from it."""
 _PLACE_STEMS = ("clearance_along", "lowest_along")
 _GROUND_STEMS = ("clearance", "midspan_clearance")
-_STEPS = {**dict.fromkeys(range(10, 17), 0.001), SWING: 1e-4}
+_STEPS = {**dict.fromkeys(range(10, 17), 0.001), **dict.fromkeys(range(SWING, SIZE), 1e-4)}
+Columns = dict[str, FloatArray]
 
 
 def refused(site: Site, reasons: list[Reason], registered: Registered | None = None) -> list[FrameMeasurement]:
@@ -81,14 +82,18 @@ def tell(
     )
 
 
-def _values(site: Site, conductor: SiteConductor, shape: Shape, *, calm: bool) -> dict[str, float]:
-    values = quantities(shape, site.ground, conductor.unit_weight_n_m)
+def _values(site: Site, conductor: SiteConductor, survey: Survey, theta: FloatArray, *, calm: bool) -> Columns:
+    """Every quantity at each of θ (S, 24), arrays (S,) by stem."""
+    near, far = survey.near + theta[:, 10:13], survey.far + theta[:, 13:16]
+    load = theta[:, LOAD] if survey.load_u > 0 else np.empty((len(theta), 0))
+    shapes = Shape(near, far, theta[:, SAG], theta[:, SWING], load)
+    values = quantities_of_many(shapes, site.ground, conductor.unit_weight_n_m)
     if conductor.stringing is not None and conductor.unit_weight_n_m is not None and calm:
-        chord = shape.far - shape.near
+        chord = far - near
         values["conductor_temp"] = conductor_temperature(
-            float(np.hypot(chord[0], chord[1])),
-            float(chord[2]),
-            values["catenary_constant"] / float(np.cos(shape.swing)),
+            np.hypot(chord[:, 0], chord[:, 1]),
+            chord[:, 2],
+            values["catenary_constant"] / np.cos(theta[:, SWING]),
             conductor.unit_weight_n_m,
             conductor.stringing,
         )
@@ -100,22 +105,19 @@ def propagate(
 ) -> tuple[dict[str, Estimate], dict[str, dict[str, float]]]:
     """Estimates by quantity stem, and the standard uncertainty of each by source."""
     theta, survey = found.solution.theta, found.survey
-    calm = abs(float(theta[SWING])) < TEMPERATURE_SWING
-    values = _values(site, conductor, survey.shape(theta), calm=calm)
-    gradient = {stem: np.zeros(SIZE) for stem in values}
-    for k, step in _STEPS.items():
-        shift = np.zeros(SIZE)
-        shift[k] = step
-        above = _values(site, conductor, survey.shape(theta + shift), calm=calm)
-        below = _values(site, conductor, survey.shape(theta - shift), calm=calm)
-        for stem, column in gradient.items():
-            column[k] = (above[stem] - below[stem]) / (2 * step)
-    bend = _bend_over_swing(site, conductor, found, values, calm=calm)
+    calm = abs(float(theta[SWING])) < TEMPERATURE_SWING and not survey.load_u
+    around, steps = _around(found)
+    all_values = _values(site, conductor, survey, around, calm=calm)
+    values = {stem: float(column[0]) for stem, column in all_values.items()}
+    pieces = found.solution.information(survey)
     estimates, budget = {}, {}
     for stem, value in values.items():
-        g = gradient[stem]
-        parts = {name: float(g @ piece @ g) for name, piece in found.solution.information.items()}
-        parts["swing, second order"] = 0.5 * bend[stem] ** 2
+        column = all_values[stem]
+        g = np.zeros(SIZE)
+        g[list(steps)] = (column[1:-2:2] - column[2:-2:2]) / (2 * np.array(list(steps.values())))
+        parts = {name: float(g @ piece @ g) for name, piece in pieces.items()}
+        # half the second difference over one standard uncertainty of swing to both sides (JCGM 100, 5.1.2, note)
+        parts["swing, second order"] = 0.5 * (column[-2] + column[-1] - 2 * value) ** 2
         if stem in _GROUND_STEMS:
             parts["ground"] = site.ground.height_u**2
         if stem in _PLACE_STEMS:
@@ -129,25 +131,22 @@ def propagate(
     return estimates, budget
 
 
-def _bend_over_swing(
-    site: Site, conductor: SiteConductor, found: Matched, values: dict[str, float], *, calm: bool
-) -> dict[str, float]:
-    """Second difference of every quantity over one standard uncertainty of swing to both sides.
+def _around(found: Matched) -> tuple[FloatArray, dict[int, float]]:
+    """θ (S, 24): the solution, a step to both sides of each of its shape's unknowns, and one deviation of swing aside.
 
     A view from the side hardly sees swing, but it sees the vertical part of the sag: along what it leaves open, the
-    sag in the swung plane grows as 1/cos(swing), which no straight line follows. Half the second difference squared is
-    the next term of the law of propagation (JCGM 100, 5.1.2, note).
+    sag in the swung plane grows as 1/cos(swing), which no straight line follows. The last two follow that curve.
     """
     theta, (swing, swing_u) = found.solution.theta, found.swing
-    total = {stem: -2 * value for stem, value in values.items()}
-    for side in (-1.0, 1.0):
-        turned = float(np.clip(swing + side * swing_u, -1.4, 1.4))
-        moved = theta.copy()
-        moved[SWING], moved[SAG] = turned, theta[SAG] * np.cos(swing) / np.cos(turned)
-        beside = _values(site, conductor, found.survey.shape(moved), calm=calm)
-        for stem in total:
-            total[stem] += beside[stem]
-    return total
+    steps = {k: step for k, step in _STEPS.items() if k in found.survey.unknowns()}
+    around = np.tile(theta, (2 * len(steps) + 3, 1))
+    for row, (k, step) in enumerate(steps.items()):
+        around[2 * row + 1, k] += step
+        around[2 * row + 2, k] -= step
+    turned = np.clip(swing + swing_u * np.array([-1.0, 1.0]), -1.4, 1.4)
+    around[-2:, SWING] = turned
+    around[-2:, SAG] = theta[SAG] * np.cos(swing) / np.cos(turned)
+    return around, steps
 
 
 def draw(site: Site, registered: Registered, found: Matched) -> Drawing:

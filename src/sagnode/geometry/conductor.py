@@ -3,12 +3,16 @@ r"""The conductor in space: a quadratic Bézier, made exact by the catenary's de
 ::
 
     A *--------- chord ----------* B      C(t) = (1-t)² A + 2t(1-t) P₁ + t² B + δ(t)·d(φ)
-       \            |           /         P₁   = A + u (B-A) + 2 D d(φ)
+       \            |           /         P₁   = A + u (B-A) + 2 D d(φ), u = ½
         `--.        | D      .-'          d(φ) = apparent gravity: down, turned by the swing φ about the chord
             `--.____v____.--'             D    = distance from the middle of the chord along d(φ)
 
-With the load skew ``u = ½`` the departure ``δ`` makes the curve a true catenary of horizontal span L and rise h,
-turned as a whole about the chord. All functions broadcast over leading axes of their parameters.
+The departure ``δ`` makes the curve a true catenary of horizontal span L and rise h, turned as a whole about the chord.
+
+Ice or a weight on part of the span makes the load uneven: ``w(s) = w̄ (1 + Σ cₖ Pₖ(2s-1))`` with Legendre's polynomials
+along the span, k = 1, 2, …. A cable's depth below its chord is the bending moment of its load over the horizontal
+tension, so each term adds ``D cₖ gₖ(s)``, gₖ being the twice integrated polynomial. ``c₁`` alone moves the Bézier's
+middle control point along the chord: u = ½ + c₁/6. All functions broadcast over leading axes of their parameters.
 """
 
 from __future__ import annotations
@@ -30,16 +34,12 @@ def catenary_half_angle(span: ArrayLike, rise: ArrayLike, sag: ArrayLike) -> Flo
     target = np.maximum(sag_, 1e-9 * span_)
     q = 4 * target / slant
 
-    def mid_sag(q: FloatArray) -> FloatArray:
-        steep = rise_ * q / (span_ * np.sinh(q))
-        # cosh q - 1 = 2 sinh²(q/2) keeps its digits at small q
-        return np.asarray(span_ / q * np.sqrt(1 + steep**2) * np.sinh(q / 2) ** 2)
-
-    for _ in range(8):
-        step = 1e-5
-        value = mid_sag(q)
-        slope = (mid_sag(q * (1 + step)) - mid_sag(q * (1 - step))) / (2 * step)
-        q = q * np.exp(np.clip((target - value) / slope, -1.0, 1.0))
+    for _ in range(5):
+        # d ln(sag) / d ln q; cosh q - 1 = 2 sinh²(q/2) keeps its digits at small q
+        steep2 = (rise_ * q / (span_ * np.sinh(q))) ** 2
+        value = span_ / q * np.sqrt(1 + steep2) * np.sinh(q / 2) ** 2
+        slope = q / np.tanh(q / 2) - 1 + steep2 / (1 + steep2) * (1 - q / np.tanh(q))
+        q = q * np.exp(np.clip(np.log(target / value) / slope, -1.0, 1.0))
     return q
 
 
@@ -69,36 +69,61 @@ def gravity_direction(near: FloatArray, far: FloatArray, swing_rad: ArrayLike) -
     return np.asarray(along + np.cos(swing) * (down - along) + np.sin(swing) * side)
 
 
+def load_shapes(s: FloatArray, count: int) -> FloatArray:
+    """What the first ``count`` terms of an uneven load add to the depth below the chord, over D: gₖ(s), (count, N).
+
+    ``gₖ = -2 ∬ Pₖ`` over x = 2s-1 with gₖ(±1) = 0, so that an even load (k = 0) would give 1 at mid-span.
+    """
+    x = 2 * np.asarray(s, dtype=np.float64) - 1
+    legendre = [np.ones_like(x), x]
+    for k in range(2, count + 3):
+        legendre.append(((2 * k - 1) * x * legendre[-1] - (k - 1) * legendre[-2]) / k)
+    shapes = np.empty((count, *x.shape))
+    for k in range(1, count + 1):
+        below = legendre[k - 2] / ((2 * k - 1) * (2 * k + 1)) if k > 1 else x / 3
+        integral = legendre[k + 2] / ((2 * k + 1) * (2 * k + 3)) - 2 * legendre[k] / ((2 * k - 1) * (2 * k + 3)) + below
+        shapes[k - 1] = -2 * integral
+    return shapes
+
+
 def conductor_points(
     near: FloatArray,
     far: FloatArray,
     sag: ArrayLike,
     swing_rad: ArrayLike,
     t: FloatArray,
-    skew: ArrayLike = 0.5,
+    load: ArrayLike = (),
 ) -> FloatArray:
     """Points (..., N, 3) of the conductor at the curve parameters ``t`` (N,).
 
     Args:
         near: attachment A (..., 3), m.
         far: attachment B (..., 3), m.
-        sag: in-plane sag D at mid-chord, m, shape (...).
+        sag: in-plane sag D that the mean load gives at mid-chord, m, shape (...).
         swing_rad: swing φ, rad, shape (...).
-        t: curve parameter in [0, 1].
-        skew: load skew u; ½ is a uniform load.
+        t: curve parameter in [0, 1]: the fraction of the chord.
+        load: terms cₖ of an uneven load, shape (..., K); none for an even one.
     """
     chord = far - near
-    profile = sag_profile(np.hypot(chord[..., 0], chord[..., 1]), chord[..., 2], sag, t)
-    fraction = 2 * t * (1 - t) * np.asarray(skew, dtype=np.float64)[..., None] + t * t
+    profile = loaded_profile(np.hypot(chord[..., 0], chord[..., 1]), chord[..., 2], sag, t, load)
     direction = gravity_direction(near, far, swing_rad)
-    on_chord = near[..., None, :] + fraction[..., None] * chord[..., None, :]
+    on_chord = near[..., None, :] + t[:, None] * chord[..., None, :]
     return np.asarray(on_chord + profile[..., None] * direction[..., None, :])
+
+
+def loaded_profile(span: ArrayLike, rise: ArrayLike, sag: ArrayLike, s: FloatArray, load: ArrayLike = ()) -> FloatArray:
+    """Depth (..., N) below the chord along apparent gravity: the exact catenary, and what an uneven load adds."""
+    profile = sag_profile(span, rise, sag, s)
+    terms = np.asarray(load, dtype=np.float64)
+    if terms.shape[-1]:
+        profile = profile + np.asarray(sag, dtype=np.float64)[..., None] * (terms @ load_shapes(s, terms.shape[-1]))
+    return profile
 
 
 def control_points(
     near: FloatArray, far: FloatArray, sag: ArrayLike, swing_rad: ArrayLike, skew: ArrayLike = 0.5
 ) -> FloatArray:
-    """Bézier control points (..., 3, 3): A, P₁, B of design equation P₁ = A + u(B-A) + 2D·d(φ)."""
+    """Bézier control points (..., 3, 3): A, P₁, B with P₁ = A + u(B-A) + 2D·d(φ); u = ½ + c₁/6 for an uneven load."""
     direction = gravity_direction(near, far, swing_rad)
     sag_ = np.asarray(sag, dtype=np.float64)[..., None]
     handle = near + np.asarray(skew, dtype=np.float64)[..., None] * (far - near) + 2 * sag_ * direction

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from sagnode.capture.port import GreyImage
 from sagnode.geometry.camera import FloatArray, Intrinsics, Pose, inside, project, project_camera
-from sagnode.geometry.conductor import conductor_points, control_points, gravity_direction, sag_profile
+from sagnode.geometry.conductor import conductor_points, control_points, gravity_direction, loaded_profile
 from sagnode.match.ribbon import SIDE_OFFSET_PX, normals, pair_response
 
 SAMPLES = 128
@@ -32,7 +32,7 @@ SWING_PRIOR = 0.3
 
 @dataclass(frozen=True)
 class View:
-    """A conductor as a camera sees it: everything a curve in the picture depends on but sag, swing and skew."""
+    """A conductor as a camera sees it: everything a curve in the picture depends on but sag and swing."""
 
     intrinsics: Intrinsics
     pose: Pose
@@ -40,21 +40,24 @@ class View:
     far: FloatArray
     diameter: float
     """Of the wire, or the outer width of the bundle, m."""
+    load: tuple[float, ...] = ()
+    """Terms of an uneven load (:mod:`sagnode.geometry.conductor`); none for an even one."""
 
-    def pixels(self, sag: float, swing: float, t: FloatArray, skew: float = 0.5) -> tuple[FloatArray, FloatArray]:
+    def pixels(self, sag: float, swing: float, t: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Pixels (N, 2) and depths (N,) of one curve; NaN where it is not ahead of the camera."""
-        return project(self.intrinsics, self.pose, conductor_points(self.near, self.far, sag, swing, t, skew))
+        return project(self.intrinsics, self.pose, conductor_points(self.near, self.far, sag, swing, t, self.load))
 
     def width_px(self, depth: FloatArray) -> FloatArray:
         """Projected width of the conductor, px, at depths (N,) m."""
         with np.errstate(invalid="ignore", divide="ignore"):
             return np.asarray(np.where(depth > 1e-3, self.diameter * self.intrinsics.fx / depth, np.nan))
 
-    def rational_bezier(self, sag: float, swing: float, skew: float = 0.5) -> tuple[FloatArray, FloatArray]:
+    def rational_bezier(self, sag: float, swing: float) -> tuple[FloatArray, FloatArray]:
         """Control points (3, 2) px and weights (3,) of the parabola's picture through a perfect lens.
 
         A weight is a control point's depth; it is negative for one behind the camera, where the curve stays valid.
         """
+        skew = 0.5 + self.load[0] / 6 if self.load else 0.5
         space = control_points(self.near, self.far, sag, swing, skew)
         camera = (space - self.pose.position) @ self.pose.rotation.T
         homogeneous = camera @ self.intrinsics.matrix.T
@@ -195,7 +198,7 @@ def _scores(
     # in the camera's frame a curve is the chord plus its profile along one direction: both are made once
     chord = (view.near + t[:, None] * (view.far - view.near) - view.pose.position) @ view.pose.rotation.T
     rise = view.far - view.near
-    profile = sag_profile(np.full(len(sags), np.hypot(rise[0], rise[1])), rise[2], sags, t)
+    profile = loaded_profile(np.full(len(sags), np.hypot(rise[0], rise[1])), rise[2], sags, t, view.load)
     direction = gravity_direction(view.near, view.far, swings) @ view.pose.rotation.T
     chunk = max(1, 2048 // len(sags))
     for start in range(0, len(swings), chunk):
