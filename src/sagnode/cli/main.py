@@ -38,6 +38,7 @@ COMMANDS: tuple[tuple[str, tuple[tuple[str, str], ...]], ...] = (
         (
             ("run", "measure and publish on schedule, until stopped (what the service runs)"),
             ("status", "what the node is doing: last readings, camera, broker, disk, clock"),
+            ("doctor", "look a node over: configuration, camera, disk, broker, clock, watchdog"),
             ("history", "list readings out of the journal"),
             ("export", "write readings out of the journal as CSV or JSON lines"),
         ),

@@ -114,13 +114,17 @@ def _state_dir(args: argparse.Namespace) -> Path:
             raise ConfigError(f"{args.state_dir}: no such directory", "give the node's state directory, or --config")
         return Path(args.state_dir)
     if args.config is not None:
-        return _configured_state_dir(args.config)
+        return configured_state_dir(args.config)
     own = state_directory(None)
     return own if own.is_dir() or not SERVICE_STATE.is_dir() else SERVICE_STATE
 
 
-def _configured_state_dir(path: Path) -> Path:
-    """From the node file alone and without checking it: status must answer although the configuration is broken."""
+def configured_state_dir(path: Path) -> Path:
+    """From the node file alone and without checking it: status must answer although the configuration is broken.
+
+    Raises:
+        ConfigError: the file cannot be read, or is not TOML.
+    """
     file = path / "node.toml" if path.is_dir() else path
     try:
         storage = tomllib.loads(file.read_text(encoding="utf-8")).get("storage", {})
@@ -140,8 +144,9 @@ def _page(state_dir: Path) -> dict[str, Any] | None:
     pages = []
     for directory in (state_dir, runtime_directory(), SERVICE_RUNTIME):
         if directory is not None:
-            with contextlib.suppress(OSError, ValueError):
+            with contextlib.suppress(OSError, ValueError, KeyError, TypeError):  # a page of another version, or none
                 page = json.loads((directory / "status.json").read_text(encoding="utf-8"))
+                float(page["written_at"])
                 if directory == state_dir or Path(page["state_dir"]) == state_dir.absolute():
                     pages.append(page)
     return max(pages, key=lambda page: float(page["written_at"]), default=None)

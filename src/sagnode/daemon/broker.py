@@ -56,7 +56,7 @@ class Broker:
         if self.username is not None:
             client.username_pw_set(self.username, _first_line(self.password_file))
         if self.tls:
-            client.tls_set_context(self._context())
+            client.tls_set_context(self.tls_context())
         return client
 
     def properties(self, packet: int = PacketTypes.PUBLISH, expiry_s: float | None = None) -> Properties | None:
@@ -99,7 +99,12 @@ class Broker:
             case _:
                 return f"{where}: {error}; check mqtt.host"
 
-    def _context(self) -> ssl.SSLContext:
+    def tls_context(self) -> ssl.SSLContext:
+        """TLS 1.2 or later, server name verified, with the client's certificate where there is one.
+
+        Raises:
+            OSError: a file cannot be read; ssl.SSLError, a kind of it: it is not valid.
+        """
         if self.ca_file is not None:
             self.ca_file.open("rb").close()  # an unreadable file is named; OpenSSL would not say which
         context = ssl.create_default_context(cafile=str(self.ca_file) if self.ca_file else None)
