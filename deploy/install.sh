@@ -164,6 +164,9 @@ install_configuration() {
 install_unit() {
 	run mkdir -p "$(dirname "$UNIT")"
 	run install -m 0644 "$HERE/systemd/sagnode.service" "$UNIT"
+	for name in sagnode-reboot.path sagnode-reboot.service; do
+		run install -m 0644 "$HERE/systemd/$name" "$(dirname "$UNIT")/$name"
+	done
 	if ! command -v systemctl >/dev/null 2>&1; then
 		say "no systemd on this machine: the unit stands in $UNIT, nothing starts it"
 		return
@@ -183,10 +186,10 @@ install_unit() {
 uninstall() {
 	[ "$dry_run" = yes ] || [ "$(id -u)" = 0 ] || fail "needs root" "sudo $0 --uninstall"
 	if command -v systemctl >/dev/null 2>&1 && [ -e "$UNIT" ]; then
-		! systemd_runs || run systemctl stop sagnode.service
+		! systemd_runs || run systemctl stop sagnode.service sagnode-reboot.path
 		run systemctl --quiet disable sagnode.service
 	fi
-	run rm -rf "$UNIT" "$UNIT.d" "$OPT"
+	run rm -rf "$UNIT" "$UNIT.d" "${UNIT%.service}-reboot.path" "${UNIT%.service}-reboot.service" "$OPT"
 	[ ! -L "$COMMAND" ] || run rm -f "$COMMAND"
 	! systemd_runs || run systemctl daemon-reload
 	if [ "$purge" = yes ]; then

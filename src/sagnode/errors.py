@@ -49,3 +49,7 @@ class EndOfFrames(FrameError):
 
 class JournalError(SagnodeError):
     """The journal cannot be opened, read or written."""
+
+
+class DiskError(JournalError):
+    """The disk under the journal refuses: full, read-only, damaged or gone; it may be better later."""

@@ -213,3 +213,4 @@ class HealthMessage(Strict):
     clock_synced: bool
     journal: str
     configuration: str = "ok"
+    recovery: str = Field(default="ok", description="what was started anew because no reading came, or ok")

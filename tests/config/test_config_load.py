@@ -171,6 +171,13 @@ class TestFaults:
                 ),
             ),
             (
+                lambda n: n.update(schedule={"cron": "0 0 31 2 *"}),
+                (
+                    "node.toml:16: schedule.cron: '0 0 31 2 *': there is no such day, and no reading would ever be"
+                    " made; check day and month"
+                ),
+            ),
+            (
                 lambda n: n["camera"]["replay"].update(start="yesterday", cadence_s=60),
                 (
                     "node.toml:14: camera.replay.start: 'yesterday': must be a time in RFC 3339, such as"

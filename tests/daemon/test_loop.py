@@ -75,7 +75,7 @@ def build(tmp_path, plan, clock, orders, *more, schedule=None, interval_s=60.0, 
     journal = Journal(tmp_path / "journal.sqlite")
     machine = Machine()
     worker = Supervisor(
-        command, Limits(deadline_s=deadline_s, backoff_max_s=backoff_max_s), beat=lambda: not orders.any
+        command, Limits(deadline_s=deadline_s, backoff_max_s=backoff_max_s), beat=lambda: not orders.stop
     )
     recorder = Recorder(journal, owed=False, keep_days=400, keep_mb=100)
     notifier = Notifier(None)
@@ -238,7 +238,8 @@ def test_reload_ends_the_loop_too(tmp_path, hand):
     orders._set("reload")
     assert run(build(tmp_path, "ok", clock, orders)) is Ending.RELOAD
     orders.reload_done()
-    assert not orders.any
+    assert not orders.reload
+    assert not orders.stop
 
 
 def test_status_file_tells_it_all(tmp_path, hand):

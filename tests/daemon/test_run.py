@@ -205,10 +205,18 @@ def test_reload_takes_a_good_configuration_and_refuses_a_bad_one(tmp_path, site,
     refused = status(tmp_path)
     assert "nonsense" in refused["health"]["configuration"]
     assert refused["configuration_id"] == first
+    assert (tmp_path / "log").read_text().count("state in") == 1  # nothing was taken down for it
     made = len(readings(tmp_path))
     wait_for(lambda: len(readings(tmp_path)) >= made + 6)  # by a worker that was started after the refusal
     causes = {reason["cause"] for r in readings(tmp_path)[made:] for reason in r["quality"]["reasons"]}
     assert "bad-calibration" not in causes
+    reference = (tmp_path / "reference.jpg").read_bytes()
+    node.write_text(good)
+    (tmp_path / "reference.jpg").write_bytes(b"no picture at all")
+    process.send_signal(signal.SIGHUP)
+    wait_for(lambda: "reference_image" in status(tmp_path)["health"]["configuration"])
+    assert status(tmp_path)["configuration_id"] == first
+    (tmp_path / "reference.jpg").write_bytes(reference)
     node.write_text(good.replace('unit = "n"', 'unit = "other"'))
     process.send_signal(signal.SIGHUP)
     wait_for(lambda: status(tmp_path)["health"]["configuration"] == "ok")

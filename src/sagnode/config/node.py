@@ -132,11 +132,13 @@ class Schedule(Model):
             from apscheduler.triggers.cron import CronTrigger
 
             try:
-                CronTrigger.from_crontab(cron, timezone=UTC)
+                trigger = CronTrigger.from_crontab(cron, timezone=UTC)
             except (ValueError, TypeError) as error:
                 raise ValueError(
                     f"{error}; must be five fields: minute, hour, day of month, month, day of week"
                 ) from None
+            if trigger.get_next_fire_time(None, datetime(2000, 1, 1, tzinfo=UTC)) is None:
+                raise ValueError("there is no such day, and no reading would ever be made; check day and month")
         return cron
 
 
@@ -157,6 +159,19 @@ class Worker(Model):
     memory_max_mb: int = Field(default=600, ge=64)
     """Address-space growth beyond this ends the process, not the daemon."""
     backoff_max_s: float = Field(default=300.0, gt=0)
+
+
+class Recovery(Model):
+    """What is done when no reading comes for long, although the worker was started anew again and again."""
+
+    restart_after_s: float = Field(default=1800.0, gt=0)
+    """So long without a reading, for a fault that a fresh start may mend: the service is started anew."""
+    restarts_before_reboot: int = Field(default=3, ge=1)
+    """So many restarts of the service in one boot; if they do not help the machine is started anew."""
+    reboot: bool = True
+    """False: never start the machine anew."""
+    reboot_wait_h: float = Field(default=1.0, gt=0)
+    """The machine has been up so long before; twice as long after each fruitless time, a day at most."""
 
 
 class Storage(Model):
@@ -250,6 +265,7 @@ class Node(Model):
     schedule: Schedule
     measure: Measure = Measure()
     worker: Worker = Worker()
+    recovery: Recovery = Recovery()
     storage: Storage = Storage()
     mqtt: Mqtt | None = None
     """Without it readings are journalled and shown, and published nowhere."""

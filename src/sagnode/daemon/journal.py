@@ -19,10 +19,21 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
-from sagnode.daemon.journal_file import INSERT, checksum, is_damage, open_file, salvage, set_aside, transaction
+from sagnode.daemon.journal_file import (
+    COLUMNS,
+    INSERT,
+    checksum,
+    forget_old_quarantine,
+    is_damage,
+    is_sound,
+    open_file,
+    salvage,
+    set_aside,
+    transaction,
+)
 from sagnode.daemon.sequence import Ceiling
 from sagnode.daemon.wal import lost_frames
-from sagnode.errors import JournalError
+from sagnode.errors import DiskError
 from sagnode.message import ReadingHeader
 
 log = logging.getLogger(__name__)
@@ -30,6 +41,8 @@ log = logging.getLogger(__name__)
 _DELETE_CHUNK = 500
 _NEWEST = 500
 """The newest reading of each conductor is looked for among so many last ones."""
+_RECENT = 20_000
+"""A burst that may have been committed without anybody's knowledge is among so many last readings."""
 
 
 @dataclass(frozen=True)
@@ -56,7 +69,8 @@ class Journal:
         path: the SQLite file; its directory must exist.
 
     Raises:
-        JournalError: the directory cannot be written or the file is of a later version.
+        DiskError: the directory cannot be written.
+        JournalError: the file is of a later version.
     """
 
     def __init__(self, path: Path) -> None:
@@ -80,7 +94,9 @@ class Journal:
                 raise _cannot(self.path, error) from error
             trusted = False
             self._db = self._start_afresh(str(error))
-        newest = self._newest()
+        self._count_on(self._newest(), trusted=trusted)
+
+    def _count_on(self, newest: int | None, *, trusted: bool) -> None:
         self._next = self._ceiling.next_after(newest, trusted=trusted)
         self._latest: dict[str, int] = dict(
             self._db.execute(
@@ -107,12 +123,15 @@ class Journal:
             The readings as committed, with their numbers.
 
         Raises:
-            JournalError: the disk refuses; nothing was written, and the burst can be tried again.
+            DiskError: the disk refuses; nothing was written, and the burst can be tried again.
         """
         with self._lock:
             try:
                 if self._suspect:
                     self._reopen()
+                    # A commit that ended with an error may be found committed after all.
+                    if (found := self.find(readings)) is not None:
+                        return found
                 numbered = [
                     reading.model_copy(update={"sequence": self._next + offset})
                     for offset, reading in enumerate(readings)
@@ -128,11 +147,59 @@ class Journal:
             self._latest.update({reading.conductor: reading.sequence for reading in numbered})
         return numbered
 
+    def find(self, readings: Sequence[ReadingHeader]) -> list[ReadingHeader] | None:
+        """The burst as it was committed earlier, with its numbers; None when it never was.
+
+        Raises:
+            DiskError: the disk refuses.
+        """
+        query = "SELECT sequence, json FROM readings WHERE sequence > ? AND acquired_at = ? AND conductor = ?"
+        found: list[ReadingHeader] = []
+        with self._lock:
+            for reading in readings:
+                try:
+                    wanted = (self._next - _RECENT, _utc_text(reading.acquired_at), reading.conductor)
+                    rows = self._db.execute(query, wanted).fetchall()
+                except sqlite3.Error as error:
+                    raise _cannot(self.path, error) from error
+                same = (reading.model_copy(update={"sequence": sequence}) for sequence, _ in rows)
+                texts = {text for _, text in rows}
+                match = next((copy for copy in same if copy.model_dump_json() in texts), None)
+                if match is None:
+                    return None
+                found.append(match)
+        return found
+
+    def adopt(self, other: Path) -> int:
+        """Take over the readings of another journal with their numbers, which must be none of this one's.
+
+        Args:
+            other: its file, used by nobody.
+
+        Returns:
+            How many there were.
+
+        Raises:
+            DiskError: the disk refuses.
+        """
+        with self._lock:
+            try:
+                with contextlib.closing(sqlite3.connect(other, isolation_level=None)) as db:
+                    rows = [row for row in db.execute(f"SELECT {COLUMNS} FROM readings") if is_sound(row)]  # noqa: S608 - fixed words
+                newest = max((row[0] for row in rows), default=0)
+                self._ceiling.cover(max(newest, self._next - 1))
+                with transaction(self._db):
+                    self._db.executemany(f"INSERT OR IGNORE{INSERT.removeprefix('INSERT')}", rows)
+            except (OSError, sqlite3.Error) as error:
+                raise _cannot(self.path, error) from error
+            self._count_on(self._newest(), trusted=True)
+        return len(rows)
+
     def mark_delivered(self, sequences: Iterable[int], at: datetime) -> None:
         """Remember that the broker acknowledged these.
 
         Raises:
-            JournalError: the disk refuses; they stay owed, and may be repeated after a restart.
+            DiskError: the disk refuses; they stay owed, and may be repeated after a restart.
         """
         rows = [(_utc_text(at), sequence) for sequence in sequences]
         with self._lock:
@@ -158,7 +225,7 @@ class Journal:
             How many owed readings were lost to the limit.
 
         Raises:
-            JournalError: the disk refuses.
+            DiskError: the disk refuses.
         """
         lost = 0
         with self._lock:
@@ -264,16 +331,16 @@ class Journal:
 
     def _start_afresh(self, damage: str) -> sqlite3.Connection:
         """Set the damaged file aside under a name of its own and carry over what can be read of it."""
-        aside = set_aside(self.path)
-        self._remark(f"damaged ({damage}); kept as {aside.name}, a new one was started")
         try:
+            aside = set_aside(self.path)
+            self._remark(f"damaged ({damage}); kept as {aside.name}, a new one was started")
             db = open_file(self.path)
-            rows = list(salvage(aside, self._ceiling.value))
             with transaction(db):
-                db.executemany(INSERT, rows)
+                count = db.executemany(INSERT, salvage(aside, self._ceiling.value)).rowcount
+            forget_old_quarantine(self.path)
         except (OSError, sqlite3.Error) as error:
             raise _cannot(self.path, error) from error
-        log.warning("journal: %d readings carried over from %s", len(rows), aside.name)
+        log.warning("journal: %d readings carried over from %s", max(0, count), aside.name)
         return db
 
     def _remark(self, text: str) -> None:
@@ -281,8 +348,8 @@ class Journal:
         self.note = text
 
 
-def _cannot(path: Path, error: Exception) -> JournalError:
-    return JournalError(f"journal {path}: {error}", "check the disk's space, mount and owner (df, mount, ls -l)")
+def _cannot(path: Path, error: Exception) -> DiskError:
+    return DiskError(f"journal {path}: {error}", "check the disk's space, mount and owner (df, mount, ls -l)")
 
 
 def _values(reading: ReadingHeader, *, owed: bool) -> tuple[object, ...]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import heapq
 import shutil
 import sqlite3
 import zlib
@@ -33,6 +34,10 @@ _MIGRATIONS: dict[int, str] = {
 COLUMNS = "sequence, acquired_at, conductor, validity, json, crc, fate, delivered_at"
 INSERT = f"INSERT INTO readings ({COLUMNS}) VALUES (?,?,?,?,?,?,?,?)"  # noqa: S608 - fixed words
 _SALVAGE_CHUNK = 5
+"""Where so few numbers in a row cannot be read, they are given up."""
+_SALVAGE_FAILURES_MAX = 50_000
+QUARANTINE_MAX = 3
+"""So many damaged files are kept; they must not fill the card."""
 
 
 def open_file(path: Path) -> sqlite3.Connection:
@@ -86,7 +91,13 @@ def is_damage(error: sqlite3.DatabaseError) -> bool:
     """Whether this error means a damaged file, not a full or forbidden disk."""
     code = getattr(error, "sqlite_errorcode", None)
     if code is not None:
-        return (code & 0xFF) in {sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB, sqlite3.SQLITE_ERROR}
+        # A sector that can be read no more is damage as well: renamed and read around, it costs its neighbours only.
+        unreadable = {sqlite3.SQLITE_IOERR_READ, sqlite3.SQLITE_IOERR_SHORT_READ, sqlite3.SQLITE_IOERR_CORRUPTFS}
+        return code in unreadable or (code & 0xFF) in {
+            sqlite3.SQLITE_CORRUPT,
+            sqlite3.SQLITE_NOTADB,
+            sqlite3.SQLITE_ERROR,
+        }
     return "malformed" in str(error) or "not a database" in str(error)
 
 
@@ -105,8 +116,16 @@ def set_aside(path: Path) -> Path:
     return aside
 
 
+def forget_old_quarantine(path: Path) -> None:
+    """Keep the newest damaged files only."""
+    kept = sorted(path.parent.glob(f"{path.stem}-damaged-*{path.suffix}"), key=lambda file: file.stat().st_mtime)
+    for file in kept[:-QUARANTINE_MAX]:
+        for suffix in ("-wal", "-shm", ""):
+            file.with_name(file.name + suffix).unlink(missing_ok=True)
+
+
 def salvage(path: Path, up_to: int) -> Iterator[tuple[object, ...]]:
-    """Rows that can still be read and pass their checksum, few at a time so that damage costs only its neighbours.
+    """Rows that can still be read and pass their checksum; damage costs only its neighbours.
 
     Args:
         path: the damaged file, with its log beside it.
@@ -124,22 +143,40 @@ def salvage(path: Path, up_to: int) -> Iterator[tuple[object, ...]]:
     for file in (path, patched):
         with contextlib.suppress(sqlite3.Error), contextlib.closing(sqlite3.connect(file, isolation_level=None)) as db:
             db.text_factory = _text
-            for start in range(0, up_to, _SALVAGE_CHUNK):
-                for row in _readable(db, start):
-                    sequence, _, conductor, _, text, crc, fate, _ = row
-                    sound = checksum(sequence, conductor, text) == crc and fate in {"pending", "delivered", "local"}
-                    if sound and isinstance(sequence, int) and sequence not in seen:
-                        seen.add(sequence)
-                        yield row
+            for row in _readable(db, up_to):
+                sequence = row[0]
+                if is_sound(row) and isinstance(sequence, int) and sequence not in seen:
+                    seen.add(sequence)
+                    yield row
     for suffix in ("-wal", "-shm", ""):
         patched.with_name(patched.name + suffix).unlink(missing_ok=True)
 
 
-def _readable(db: sqlite3.Connection, after: int) -> list[tuple[object, ...]]:
-    query = f"SELECT {COLUMNS} FROM readings WHERE sequence > ? AND sequence <= ?"  # noqa: S608 - fixed words
-    with contextlib.suppress(sqlite3.Error):
-        return db.execute(query, (after, after + _SALVAGE_CHUNK)).fetchall()
-    return []
+def is_sound(row: tuple[object, ...]) -> bool:
+    """Whether a row, with the columns of COLUMNS, is what was once written."""
+    sequence, _, conductor, _, text, crc, fate, _ = row
+    return checksum(sequence, conductor, text) == crc and fate in {"pending", "delivered", "local"}
+
+
+def _readable(db: sqlite3.Connection, up_to: int) -> Iterator[tuple[object, ...]]:
+    """Every row that comes without an error: a range of numbers that gives one is halved, the largest ranges first."""
+    query = f"SELECT {COLUMNS} FROM readings WHERE sequence > ? AND sequence <= ? ORDER BY sequence"  # noqa: S608 - fixed words
+    ranges = [(-up_to, 0)]  # a heap of (minus length, start)
+    failures = 0
+    while ranges and failures < _SALVAGE_FAILURES_MAX:
+        length, start = heapq.heappop(ranges)
+        end, reached = start - length, start
+        try:
+            for row in db.execute(query, (start, end)):
+                reached = row[0] if isinstance(row[0], int) else reached
+                yield row
+        except sqlite3.Error:
+            failures += 1
+            left = end - reached
+            if left > _SALVAGE_CHUNK:
+                half = left // 2
+                heapq.heappush(ranges, (-half, reached))
+                heapq.heappush(ranges, (half - left, reached + half))
 
 
 def _text(data: bytes) -> str:

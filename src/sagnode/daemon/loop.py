@@ -14,12 +14,13 @@ import logging
 import signal
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from enum import Enum
 
 from sagnode.daemon.clock import Clock, StepDetector, VirtualClock
+from sagnode.daemon.ladder import Ladder, Rung
 from sagnode.daemon.link import Link
 from sagnode.daemon.machine import ClockTrust, Machine
 from sagnode.daemon.notify import Watchdog
@@ -36,8 +37,8 @@ from sagnode.worker.supervisor import Outcome, Supervisor
 log = logging.getLogger(__name__)
 
 _SLICE_S = 0.5
-_GRACE_S = 15.0
-"""What a turn may take beyond the reading's own deadline: killing, a slow card, drawing breath."""
+_GRACE_S = 45.0
+"""What a turn may take beyond the reading's own deadline: killing, a card that is slow with its commits."""
 _SHOW_EVERY_S = 10.0
 
 
@@ -46,6 +47,8 @@ class Ending(Enum):
 
     STOPPED = "stopped"
     RELOAD = "reload"
+    REOPEN = "the state directory is to be opened anew"
+    RESTART = "no reading for too long; the service is to be started anew"
     END_OF_FRAMES = "the replay has shown its last frame"
 
 
@@ -70,11 +73,6 @@ class Orders:
     def _set(self, name: str) -> None:
         setattr(self, name, True)
         self._news.set()
-
-    @property
-    def any(self) -> bool:
-        """Whether the loop is to end."""
-        return self.stop or self.reload
 
     def reload_done(self) -> None:
         """The order to reload was carried out."""
@@ -102,6 +100,12 @@ class Parts:
     machine: Machine
     watchdog: Watchdog
     orders: Orders
+    ladder: Ladder | None = None
+    """What is done when no reading comes for long; None where a restart could not help, as with replayed frames."""
+    accept: Callable[[], bool] = lambda: True
+    """Has the configuration read anew; False: it was refused, and all goes on as it was."""
+    reopen: Callable[[], bool] = lambda: False
+    """Whether the readings would be kept better in another place than now; asked every ten seconds."""
 
 
 class Loop:
@@ -113,6 +117,7 @@ class Loop:
         self._clock = parts.clock
         self._next_frame_at: datetime | None = None
         self._shown_at = float("-inf")
+        self._called_away = Ending.RELOAD
 
     def run(self) -> Ending:
         """Measure on schedule until there is an order or no frame is left."""
@@ -127,6 +132,7 @@ class Loop:
                 break
             if outcome.end_of_frames:
                 return Ending.END_OF_FRAMES
+            rung = self._climb(outcome)
             trust = parts.machine.clock_trust()
             readings = self._stamped(outcome, began, began_s, trust)
             readings = parts.recorder.record(readings)
@@ -135,7 +141,21 @@ class Loop:
             slot = self._next_slot(slot)
             self._show(readings, slot, trust)
             parts.recorder.prune(self._clock.now(), clock_synced=trust.synced)
-        return Ending.STOPPED if parts.orders.stop else Ending.RELOAD
+            if rung is Rung.RESTART:
+                return Ending.RESTART
+            if rung is Rung.REBOOT:
+                parts.watchdog.starve()
+        return Ending.STOPPED if parts.orders.stop else self._called_away
+
+    def _climb(self, outcome: Outcome) -> Rung:
+        """What a reading, or its absence, means for the ladder of recovery."""
+        ladder = self._parts.ladder
+        if ladder is None:
+            return Rung.STAY
+        if outcome.reply is not None:
+            ladder.answered()
+            return Rung.STAY
+        return ladder.failed(outcome.reason)
 
     # -- when
 
@@ -167,7 +187,7 @@ class Loop:
         if isinstance(self._clock, VirtualClock):
             self._await_worker()
         steps = StepDetector(self._clock)
-        while not parts.orders.any:
+        while not self._ordered():
             left = self._clock.idle_s(slot) if slot is not None else float("inf")
             if left <= 0:
                 return True
@@ -181,12 +201,25 @@ class Loop:
                 parts.recorder.retry()
                 parts.worker.start()
                 self._show([], slot, parts.machine.clock_trust())
+                if parts.reopen():
+                    self._called_away = Ending.REOPEN
+                    return False
         return False
+
+    def _ordered(self) -> bool:
+        """Whether an order ends this loop; a new configuration does so only once it is found good."""
+        orders = self._parts.orders
+        if orders.reload and not orders.stop:
+            self._called_away = Ending.RELOAD
+            if self._parts.accept():
+                return True
+            orders.reload_done()
+        return orders.stop
 
     def _await_worker(self) -> None:
         """Virtual time must not run away from a worker that is being started: its back-off is real time."""
         parts = self._parts
-        while parts.worker.hello is None and not parts.orders.any:
+        while parts.worker.hello is None and not (parts.orders.stop or parts.orders.reload):
             wait_s = parts.worker.wait_s()
             if wait_s <= 0:
                 parts.watchdog.promise(parts.deadline_s + KILL_WAIT_S + _GRACE_S)

@@ -2,22 +2,20 @@
 
 from __future__ import annotations
 
-import contextlib
-import fcntl
 import logging
 import os
-from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
 from sagnode import __version__
-from sagnode.config.load import LoadedNode, load_node
+from sagnode.config.load import LoadedNode
 from sagnode.config.node import Mqtt, Node
-from sagnode.daemon import logs, notify
+from sagnode.daemon import notify
 from sagnode.daemon.broker import Broker
 from sagnode.daemon.clock import Clock, SystemClock, VirtualClock
 from sagnode.daemon.journal import Journal
+from sagnode.daemon.ladder import Ladder, Steps
 from sagnode.daemon.link import Link
 from sagnode.daemon.loop import Ending, Loop, Orders, Parts
 from sagnode.daemon.machine import Machine
@@ -25,11 +23,14 @@ from sagnode.daemon.outbox import Outbox
 from sagnode.daemon.pictures import Pictures
 from sagnode.daemon.places import runtime_directory, state_directory
 from sagnode.daemon.recorder import Recorder
+from sagnode.daemon.reload import Reloader
 from sagnode.daemon.schedule import Schedule
 from sagnode.daemon.session import Terms
 from sagnode.daemon.show import Facts, Showcase
+from sagnode.daemon.spool import Spool
 from sagnode.daemon.stamp import Stamp
-from sagnode.errors import ConfigError, SagnodeError
+from sagnode.daemon.store import VOLATILE_KEEP_MB, Stores
+from sagnode.errors import ConfigError
 from sagnode.message import Identity, StatusMessage
 from sagnode.worker.supervisor import Limits, Supervisor, command_line
 
@@ -39,6 +40,8 @@ DRAIN_S = 60.0
 """After a replay's end: longest wait for the broker to take what is owed."""
 STOP_DRAIN_S = 1.0
 """At a stop: time for what is on the wire."""
+EXIT_ANEW = 75
+"""The service is to be started anew (sysexits.h: temporary failure)."""
 
 
 def run(loaded: LoadedNode) -> int:
@@ -51,27 +54,46 @@ def run(loaded: LoadedNode) -> int:
     watchdog = notify.Watchdog(notifier, notify.watchdog_period_s(os.environ, os.getpid()))
     orders = Orders()
     orders.install()
-    note = "ok"
+    reloader = Reloader(loaded, notifier, watchdog, stopping=lambda: orders.stop, usable=_usable)
+    stores = _stores(loaded)
     while True:
-        ending = _run_once(loaded, notifier, watchdog, orders, note)
-        if ending is not Ending.RELOAD:
+        if stores.state_dir != state_directory(reloader.loaded.node.storage.state_dir):
+            stores = _stores(reloader.loaded)
+        ending = _run_once(reloader, stores, notifier, watchdog, orders)
+        if ending is Ending.RELOAD:
+            reloader.put_in_force()
+            orders.reload_done()
+        elif ending is not Ending.REOPEN:
             log.info("ended: %s", ending.value)
-            return 0
-        notifier.reloading()
-        loaded, note = _reload(loaded)
-        orders.reload_done()
+            return EXIT_ANEW if ending is Ending.RESTART else 0
+
+
+def _usable(loaded: LoadedNode) -> None:
+    """Raises ConfigError for a schedule or a topic that only shows itself when it is used."""
+    _schedule(loaded.node)
+    if loaded.node.mqtt:
+        topic_prefix(loaded.node)
+
+
+def _schedule(node: Node) -> Schedule:
+    return Schedule(interval_s=node.schedule.interval_s, cron=node.schedule.cron)
+
+
+def _stores(loaded: LoadedNode) -> Stores:
+    return Stores(state_directory(loaded.node.storage.state_dir), runtime_directory())
 
 
 def _run_once(
-    loaded: LoadedNode, notifier: notify.Notifier, watchdog: notify.Watchdog, orders: Orders, note: str
+    reloader: Reloader, stores: Stores, notifier: notify.Notifier, watchdog: notify.Watchdog, orders: Orders
 ) -> Ending:
+    loaded = reloader.loaded
     node = loaded.node
-    state_dir = state_directory(node.storage.state_dir)
-    schedule = Schedule(interval_s=node.schedule.interval_s, cron=node.schedule.cron)
+    schedule = _schedule(node)
     prefix = topic_prefix(node) if node.mqtt else ""
-    with _alone(state_dir):
-        notifier.patience(120.0)
-        journal = Journal(state_dir / "journal.sqlite")
+    notifier.patience(120.0)
+    with stores.opened() as store:
+        state_dir, journal = stores.state_dir, store.journal
+        status_dir = runtime_directory() or state_dir
         machine = Machine()
         clock = VirtualClock(datetime.now(UTC)) if node.schedule.clock == "virtual" else SystemClock()
         wording = _Wording(loaded, machine.boot_id(), clock)
@@ -88,10 +110,14 @@ def _run_once(
             configuration=loaded.snapshot(),
         )
         recorder = Recorder(
-            journal, owed=link is not None, keep_days=node.storage.keep_days, keep_mb=node.storage.keep_mb
+            journal,
+            owed=link is not None,
+            keep_days=node.storage.keep_days,
+            keep_mb=min(node.storage.keep_mb, VOLATILE_KEEP_MB) if store.volatile else node.storage.keep_mb,
+            spool=Spool(status_dir / "spool"),
         )
         conductors = {c.id: c.phase for c in loaded.span.conductors if c.measured}
-        status_dir = runtime_directory() or state_dir
+        ladder = _ladder(node, notifier, wording.boot_id, state_dir)
         showcase = Showcase(
             Facts(
                 identity=wording.identity,
@@ -110,8 +136,9 @@ def _run_once(
             link=link,
             machine=machine,
             notifier=notifier,
+            ladder=ladder,
         )
-        showcase.configuration_note = note
+        reloader.attach(showcase)
         pictures = Pictures(status_dir / "pictures", node.storage.pictures_keep_mb, machine)
         parts = Parts(
             schedule=schedule,
@@ -135,8 +162,11 @@ def _run_once(
             machine=machine,
             watchdog=watchdog,
             orders=orders,
+            ladder=ladder,
+            accept=reloader.accept,
+            reopen=lambda: stores.better(recorder.refused_s),
         )
-        log.info("sagnode %s, %s, state in %s", __version__, loaded.path, state_dir)
+        log.info("sagnode %s, %s, state in %s", __version__, loaded.path, store.directory)
         if link is not None:
             link.start()
         notifier.ready(f"started; configuration {loaded.configuration_id}")
@@ -147,18 +177,32 @@ def _run_once(
             if ending is Ending.STOPPED:
                 notifier.stopping()
             worker.stop()
-            recorder.retry()
+            recorder.finish()
             _leave(link, ending, watchdog, wording)
             trust = machine.clock_trust()
             showcase.show([], now=clock.now(), next_slot=None, gap_s=float("inf"), trust=trust, state=ending.value)
-            journal.close()
         return ending
 
 
+def _ladder(node: Node, notifier: notify.Notifier, boot_id: str, state_dir: Path) -> Ladder | None:
+    """None where nobody would start this process anew, and where files are replayed, which no fresh start mends."""
+    if not notifier.present or node.camera.backend == "replay":
+        return None
+    recovery = node.recovery
+    steps = Steps(
+        restart_after_s=recovery.restart_after_s,
+        restarts_before_reboot=recovery.restarts_before_reboot,
+        reboot=recovery.reboot,
+        reboot_wait_h=recovery.reboot_wait_h,
+    )
+    asked = runtime_directory()
+    return Ladder(state_dir / "recovery.json", steps, boot_id, asked / "reboot-wanted" if asked else None)
+
+
 def _beat(watchdog: notify.Watchdog, orders: Orders) -> bool:
-    """While the worker is waited for: all is well, go on, unless there is an order."""
+    """While the worker is waited for: all is well, go on, unless told to stop."""
     watchdog.beat()
-    return not orders.any
+    return not orders.stop
 
 
 def _leave(link: Link | None, ending: Ending, watchdog: notify.Watchdog, wording: _Wording) -> None:
@@ -249,37 +293,3 @@ def topic_prefix(node: Node) -> str:
     if not prefix or set("+#\0") & set(prefix):
         raise ConfigError(f"mqtt.prefix = {template!r} is no topic", remedy)
     return prefix
-
-
-def _reload(loaded: LoadedNode) -> tuple[LoadedNode, str]:
-    """The new configuration, or the old one and why."""
-    try:
-        fresh = load_node(loaded.path)
-        Schedule(interval_s=fresh.node.schedule.interval_s, cron=fresh.node.schedule.cron)
-        if fresh.node.mqtt:
-            topic_prefix(fresh.node)
-    except ConfigError as error:
-        for fault in error.faults:
-            log.error("reload refused: %s", fault)
-        return loaded, f"reload refused, the old one stays in force: {error.faults[0]}"
-    logs.set_up(fresh.node.log_level)
-    log.info("configuration %s read anew", fresh.configuration_id)
-    return fresh, "ok"
-
-
-@contextlib.contextmanager
-def _alone(state_dir: Path) -> Iterator[None]:
-    """Hold the state directory for this process alone."""
-    remedy = "give the daemon's user a directory to write to: storage.state_dir, or StateDirectory= of its unit"
-    try:
-        state_dir.mkdir(parents=True, exist_ok=True)
-        lock = (state_dir / "lock").open("w")
-    except OSError as error:
-        raise SagnodeError(f"state directory {state_dir}: {error.strerror}", remedy) from error
-    with lock:
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError as error:
-            what = f"state directory {state_dir} is in use by another sagnode"
-            raise SagnodeError(what, "stop that one, or give this one its own storage.state_dir") from error
-        yield

@@ -27,6 +27,11 @@ class Notifier:
             self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC)
             self._socket.setblocking(False)
 
+    @property
+    def present(self) -> bool:
+        """Whether a service manager listens."""
+        return self._socket is not None
+
     def tell(self, *assignments: str) -> None:
         """Send lines such as ``READY=1``; a manager that does not listen is no concern of ours."""
         if self._socket is not None:
@@ -78,6 +83,10 @@ class Watchdog:
     def kept(self) -> bool:
         """Whether the last promise still holds."""
         return self._monotonic() <= self._promised_until
+
+    def starve(self) -> None:
+        """Feed it no more, whatever is promised: the last resort, for the system to start all anew."""
+        self._every_s = None
 
     def promise(self, seconds: float) -> None:
         """Progress comes within so many seconds; the last promise was kept."""

@@ -1,4 +1,4 @@
-"""Between the loop and the journal: what a disk refuses is kept in memory and tried again, within bounds."""
+"""Between the loop and the journal: what a disk refuses waits, in memory and in a spool, and is tried again."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from datetime import datetime, timedelta
 
 from sagnode.daemon.journal import Journal
 from sagnode.daemon.logs import Seldom
+from sagnode.daemon.spool import Spool
 from sagnode.errors import JournalError
 from sagnode.message import ReadingHeader
 
@@ -28,9 +29,12 @@ class Recorder:
         owed: whether readings have to be delivered to a broker.
         keep_days: age limit of what is not owed.
         keep_mb: size limit.
+        spool: where bursts that wait outlive the process; what it holds is recorded first.
     """
 
-    def __init__(self, journal: Journal, *, owed: bool, keep_days: float, keep_mb: float) -> None:
+    def __init__(
+        self, journal: Journal, *, owed: bool, keep_days: float, keep_mb: float, spool: Spool | None = None
+    ) -> None:
         self._journal = journal
         self._owed = owed
         self._keep = timedelta(days=keep_days)
@@ -40,6 +44,15 @@ class Recorder:
         self._trouble = ""
         self._pruned_at = float("-inf")
         self._complaints = Seldom(log)
+        self._spool = spool
+        self._unspooled = 0
+        self._refused_since: float | None = None
+        self._waiting.extend(spool.load() if spool else ())
+        self._inherited = len(self._waiting)
+        """So many at the head were left by an earlier process, which may have committed some of them."""
+        if self._waiting:
+            log.warning("%d bursts were left by an earlier process; they are recorded now", self._inherited)
+            self.retry()
 
     @property
     def state(self) -> str:
@@ -56,6 +69,11 @@ class Recorder:
         """Bursts that are not on the disk yet."""
         return len(self._waiting)
 
+    @property
+    def refused_s(self) -> float:
+        """For so long the disk has refused everything; 0 when it takes what it is given."""
+        return 0.0 if self._refused_since is None else time.monotonic() - self._refused_since
+
     def record(self, readings: Sequence[ReadingHeader]) -> list[ReadingHeader]:
         """Commit a burst, and before it what still waits.
 
@@ -63,25 +81,53 @@ class Recorder:
             The burst with its numbers, or as it was given when the disk refused it.
         """
         if len(self._waiting) >= WAITING_MAX:
-            self._waiting.popleft()
+            self._drop_first()
             self._dropped += 1
         self._waiting.append(list(readings))
         numbered = self.retry()
+        if not numbered and (self._spool is None or not self._spool.keep(readings)):
+            self._unspooled += 1
         return numbered or list(readings)
 
     def retry(self) -> list[ReadingHeader]:
         """Commit what waits; returns the last burst if all went well, else nothing."""
         numbered: list[ReadingHeader] = []
+        spooled = self._inherited > 0 or self._refused_since is not None
         while self._waiting:
+            burst = self._waiting[0]
             try:
-                numbered = self._journal.append(self._waiting[0], owed=self._owed)
+                known = self._journal.find(burst) if self._inherited else None
+                numbered = known or self._journal.append(burst, owed=self._owed)
             except JournalError as error:
                 self._trouble = str(error)
                 self._complaints.error(self._trouble)
+                if self._refused_since is None:
+                    self._refused_since = time.monotonic()
                 return []
-            self._waiting.popleft()
-        self._complaints.forget()
+            self._drop_first()
+        if spooled:
+            self._unspooled = 0
+            self._refused_since = None
+            self._complaints.forget()
+            if self._spool is not None:
+                self._spool.clear()
         return numbered
+
+    def _drop_first(self) -> None:
+        self._waiting.popleft()
+        self._inherited = max(0, self._inherited - 1)
+
+    def finish(self) -> None:
+        """Last attempt at the end of the process; says what is lost with it."""
+        self.retry()
+        if self._waiting and self._unspooled:
+            log.critical(
+                "%d bursts of readings are lost with this process: %s",
+                min(self._unspooled, len(self._waiting)),
+                self._trouble,
+            )
+        elif self._waiting:
+            log.error("%d bursts of readings wait in the spool for the next start", len(self._waiting))
 
     def prune(self, now: datetime, *, clock_synced: bool) -> None:
         """Once an hour hold the journal to its limits; ages count only by a clock that can be trusted."""

@@ -15,6 +15,7 @@ from typing import Any
 from sagnode import __version__
 from sagnode.daemon.files import write_atomic
 from sagnode.daemon.journal import Backlog, Journal
+from sagnode.daemon.ladder import Ladder
 from sagnode.daemon.link import Link
 from sagnode.daemon.logs import Seldom
 from sagnode.daemon.machine import ClockTrust, Machine
@@ -61,6 +62,7 @@ class Showcase:
         link: Link | None,
         machine: Machine,
         notifier: Notifier,
+        ladder: Ladder | None = None,
     ) -> None:
         self._facts = facts
         self._worker = worker
@@ -69,6 +71,7 @@ class Showcase:
         self._link = link
         self._machine = machine
         self._notifier = notifier
+        self._ladder = ladder
         self._complaints = Seldom(log)
         self._started = time.monotonic()
         self._health_at = float("-inf")
@@ -78,6 +81,10 @@ class Showcase:
         self._last: dict[str, dict[str, Any]] = {}
         self.configuration_note = "ok"
         """What health says of the configuration, such as a reload that was refused."""
+
+    def hurry(self) -> None:
+        """There is news for health; it is not to wait for its turn."""
+        self._health_at = float("-inf")
 
     def show(
         self,
@@ -169,6 +176,7 @@ class Showcase:
             clock_synced=trust.synced,
             journal=self._recorder.state,
             configuration=self.configuration_note,
+            recovery=self._ladder.state if self._ladder else "ok",
         )
 
     def _backlog(self) -> Backlog:

@@ -1,0 +1,182 @@
+"""Where the readings of this process are kept: the state directory, or memory while that one is of no use.
+
+A card that turned read-only, lost a sector or was pulled must not end the measuring. Then the journal lies in the
+directory in memory that systemd gives, is published from as ever, and is carried over when the card is well again.
+What only memory has is lost with a power cut; health and status say so for as long as it lasts.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import logging
+import os
+import random
+import shutil
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from sagnode.daemon.files import write_atomic
+from sagnode.daemon.journal import Journal
+from sagnode.daemon.sequence import BLOCK, Ceiling
+from sagnode.errors import DiskError, JournalError, SagnodeError
+
+log = logging.getLogger(__name__)
+
+JOURNAL = "journal.sqlite"
+VOLATILE_KEEP_MB = 32.0
+"""Size limit of a journal in memory."""
+DISTRUST_AFTER_S = 60.0
+"""A state directory that refused readings for so long is left."""
+LOOK_AGAIN_S = 60.0
+_PROBE_BYTES = 1_000_000
+_JUMP_MAX = 10**6
+
+
+@dataclass(frozen=True)
+class Store:
+    """An open journal, held for this process alone."""
+
+    journal: Journal
+    directory: Path
+    """Of the journal."""
+    volatile: bool
+    """Whether it is in memory because the state directory is of no use."""
+
+
+class Stores:
+    """Chooses the place, and notices when the other one would be better.
+
+    Args:
+        state_dir: the state directory.
+        runtime_dir: the directory in memory, None where there is none.
+    """
+
+    def __init__(self, state_dir: Path, runtime_dir: Path | None) -> None:
+        self.state_dir = state_dir
+        self._volatile_dir = runtime_dir / "volatile" if runtime_dir else None
+        self._distrusted = False
+        self._open: Store | None = None
+        self._looked_at = float("-inf")
+
+    @contextlib.contextmanager
+    def opened(self) -> Iterator[Store]:
+        """The journal, held for this process alone; closed at the end.
+
+        Raises:
+            SagnodeError: neither place can be used, or another daemon uses the state directory.
+        """
+        with contextlib.ExitStack() as stack:
+            store = self._choose(stack)
+            self._open = store
+            self._looked_at = time.monotonic()
+            try:
+                yield store
+            finally:
+                self._open = None
+                store.journal.close()
+
+    def better(self, refused_s: float) -> bool:
+        """Whether readings would be kept better in the other place.
+
+        Args:
+            refused_s: for so long the present journal has refused readings.
+        """
+        if self._open is None or self._volatile_dir is None:
+            return False
+        if not self._open.volatile:
+            self._distrusted = refused_s > DISTRUST_AFTER_S
+            return self._distrusted
+        if time.monotonic() - self._looked_at < LOOK_AGAIN_S:
+            return False
+        self._looked_at = time.monotonic()
+        self._distrusted = not self._is_well()
+        return not self._distrusted
+
+    # -- within
+
+    def _choose(self, stack: contextlib.ExitStack) -> Store:
+        if self._distrusted and self._volatile_dir is not None:
+            return self._in_memory(stack, self._volatile_dir, f"{self.state_dir} refuses to be written")
+        try:
+            with contextlib.ExitStack() as attempt:
+                attempt.enter_context(alone(self.state_dir))
+                journal = Journal(self.state_dir / JOURNAL)
+                try:
+                    self._carry_over(journal)
+                except DiskError:
+                    journal.close()
+                    raise
+                stack.push(attempt.pop_all())
+                return Store(journal, self.state_dir, volatile=False)
+        except DiskError as error:
+            if self._volatile_dir is None:
+                raise
+            return self._in_memory(stack, self._volatile_dir, str(error))
+
+    def _in_memory(self, stack: contextlib.ExitStack, directory: Path, why: str) -> Store:
+        stack.enter_context(alone(directory))
+        try:
+            if not (directory / "sequence").exists():
+                # The true count cannot be moved on now. A random leap, for two such times must not meet either.
+                known = Ceiling(self.state_dir / "sequence").value
+                leap = random.randrange(1, _JUMP_MAX) * _JUMP_MAX  # noqa: S311 - not for secrecy
+                write_atomic(directory / "sequence", f"{-(-known // BLOCK) * BLOCK + leap}\n", durable=False)
+            journal = Journal(directory / JOURNAL)
+        except OSError as error:
+            raise SagnodeError(f"{directory}: {error.strerror}", "free memory, or mend the state directory") from error
+        journal.note = f"kept in memory and lost with the power, because {why}"
+        log.critical("journal: %s", journal.note)
+        return Store(journal, directory, volatile=True)
+
+    def _carry_over(self, journal: Journal) -> None:
+        """Bring home what was recorded in memory."""
+        if self._volatile_dir is None or not (self._volatile_dir / JOURNAL).exists():
+            return
+        count = journal.adopt(self._volatile_dir / JOURNAL)
+        log.warning("journal: %d readings carried over from memory", count)
+        shutil.rmtree(self._volatile_dir, ignore_errors=True)
+
+    def _is_well(self) -> bool:
+        """Whether the state directory takes a megabyte and its journal can be opened."""
+        probe = self.state_dir / "probe"
+        try:
+            with alone(self.state_dir):
+                with probe.open("wb") as stream:
+                    stream.write(bytes(_PROBE_BYTES))
+                    stream.flush()
+                    os.fsync(stream.fileno())
+                probe.unlink()
+                Journal(self.state_dir / JOURNAL).close()
+        except (OSError, JournalError, SagnodeError):
+            with contextlib.suppress(OSError):
+                probe.unlink(missing_ok=True)
+            return False
+        return True
+
+
+@contextlib.contextmanager
+def alone(directory: Path) -> Iterator[None]:
+    """Hold a directory for this process alone.
+
+    Raises:
+        DiskError: the disk refuses.
+        SagnodeError: not this user's directory, or another daemon holds it.
+    """
+    remedy = "give the daemon's user a directory to write to: storage.state_dir, or StateDirectory= of its unit"
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+        lock = (directory / "lock").open("w")
+    except PermissionError as error:
+        raise SagnodeError(f"state directory {directory}: {error.strerror}", remedy) from error
+    except OSError as error:
+        raise DiskError(f"state directory {directory}: {error.strerror}", remedy) from error
+    with lock:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            what = f"state directory {directory} is in use by another sagnode"
+            raise SagnodeError(what, "stop that one, or give this one its own storage.state_dir") from error
+        yield
