@@ -214,3 +214,4 @@ class HealthMessage(Strict):
     journal: str
     configuration: str = "ok"
     recovery: str = Field(default="ok", description="what was started anew because no reading came, or ok")
+    trend: str = Field(default="ok", description="ok, or which conductors' readings contradict those before them")

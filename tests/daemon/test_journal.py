@@ -63,6 +63,17 @@ def test_delivered_is_not_owed(path):
     assert backlog.oldest_acquired_at == START + timedelta(minutes=30)
 
 
+def test_the_recent_ones_are_there_delivered_or_not_oldest_first(path):
+    journal = Journal(path)
+    fill(journal, 3)
+    journal.mark_delivered([6, 7], NOW)
+    assert [row.sequence for row in journal.recent(5)] == [5, 6, 7, 8, 9]
+    with sqlite3.connect(path) as db:
+        db.execute("UPDATE readings SET json = replace(json, '8.0', '9.0') WHERE sequence = 8")
+    assert [row.sequence for row in journal.recent(5)] == [5, 6, 7, 9]
+    assert [row.sequence for row in journal.recent(3)] == [6, 7, 9]
+
+
 def test_without_a_broker_nothing_is_owed(path):
     journal = Journal(path)
     fill(journal, 1, owed=False)

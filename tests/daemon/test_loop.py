@@ -21,6 +21,8 @@ from sagnode.daemon.schedule import Schedule
 from sagnode.daemon.show import STATUS_FILE, Facts, Showcase
 from sagnode.daemon.stamp import Stamp
 from sagnode.message import Identity
+from sagnode.trend.heat import HeatScale
+from sagnode.trend.watch import Trend, Watched
 from sagnode.worker.supervisor import Limits, Supervisor
 
 STAND_IN = Path(__file__).parents[1] / "worker" / "stand_in.py"
@@ -64,7 +66,9 @@ class HandOrders(Orders):
             self._set("stop")
 
 
-def build(tmp_path, plan, clock, orders, *more, schedule=None, interval_s=60.0, deadline_s=5.0, backoff_max_s=0.1):
+def build(
+    tmp_path, plan, clock, orders, *more, schedule=None, interval_s=60.0, deadline_s=5.0, backoff_max_s=0.1, trend=None
+):
     (tmp_path / "plan").write_text(plan)
 
     def command(requests_fd, replies_fd, resume_after):
@@ -97,6 +101,7 @@ def build(tmp_path, plan, clock, orders, *more, schedule=None, interval_s=60.0, 
         machine=machine,
         watchdog=Watchdog(notifier, None),
         orders=orders,
+        trend=trend,
     )
 
 
@@ -136,6 +141,17 @@ def test_a_day_of_slots(tmp_path, hand):
     assert first["sag_m"] == 8.0
     assert first["quality"]["validity"] == "good"
     assert [r["sequence"] for r in rows(tmp_path)] == list(range(1, 21))
+
+
+def test_a_reading_that_contradicts_the_past_is_marked_before_it_is_recorded(tmp_path, hand):
+    clock, orders = hand(240)
+    watched = Watched(HeatScale(270.0, 0.0), 5.0, 12.0)
+    parts = build(tmp_path, "ok ok sag:10.5 ok", clock, orders, trend=Trend({"L1": watched, "L2": watched}, 1800.0))
+    run(parts)
+    words = [r["quality"]["detail_qual"] for r in rows(tmp_path) if r["conductor"] == "L1"]
+    assert words == [[], [], ["inconsistent"], []]
+    assert [r["sag_m"] for r in rows(tmp_path)][4:6] == [10.5, 10.5]
+    assert json.loads((tmp_path / STATUS_FILE).read_text())["health"]["trend"] == "ok"
 
 
 def test_a_crontab_keeps_to_its_times(tmp_path, hand):

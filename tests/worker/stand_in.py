@@ -2,7 +2,7 @@
 
 The words of the plan (a file, one word per request; the last one repeats) are taken in turn, also across restarts:
 ok, hang, hang-children, crash, segfault, abort, garbage, half-line, long-line, wrong-id, fault, camera-fault, fatal,
-end, slow:<seconds>, leak:<megabytes>, chatty, flood.
+end, slow:<seconds>, sag:<metres>, leak:<megabytes>, chatty, flood.
 Before the first request: no-hello, bad-hello, die-at-start, start-fault.
 """
 
@@ -58,11 +58,11 @@ def frame_at():
     return datetime.fromisoformat(args.frames_from)
 
 
-def result(conductor):
+def result(conductor, sag=8.0):
     return {
         "conductor": conductor,
         "validity": "good",
-        "estimates": {"sag": [8.0, 0.01, 7.98, 8.02], "clearance": [7.5, 0.05, 7.4, 7.6]},
+        "estimates": {"sag": [sag, 0.01, sag - 0.02, sag + 0.02], "clearance": [7.5, 0.05, 7.4, 7.6]},
         "frames_used": 1,
         "method": "stand-in",
     }
@@ -158,7 +158,7 @@ for line in requests:
             "acquired_at": acquired.isoformat(),
             "monotonic_s": time.monotonic(),
             "camera": "stand-in",
-            "results": [result(c) for c in args.conductors.split(",")],
+            "results": [result(c, float(argument) if word == "sag" else 8.0) for c in args.conductors.split(",")],
             "elapsed_s": 0.01,
             "memory_mb": 50.0 + sum(len(h) for h in hoard) / 1e6,
             "next_frame_at": frame and frame.isoformat(),

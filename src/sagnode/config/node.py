@@ -151,6 +151,15 @@ class Measure(Model):
     """False ignores the lens distortion, as the paper's Table 8 does."""
 
 
+class Trend(Model):
+    """Whether a reading can follow from those before it: conductors heat and cool, they do not jump."""
+
+    watch: bool = True
+    """Mark a reading as inconsistent when no heat or wind explains its change; its numbers stay as they are."""
+    accept_after_s: float = Field(default=1800.0, gt=0)
+    """A new level that has lasted so long, in three readings at least, is real: a slipped clamp, ice that fell off."""
+
+
 class Worker(Model):
     """The process that owns the camera and the mathematics."""
 
@@ -264,6 +273,7 @@ class Node(Model):
     camera: Camera
     schedule: Schedule
     measure: Measure = Measure()
+    trend: Trend = Trend()
     worker: Worker = Worker()
     recovery: Recovery = Recovery()
     storage: Storage = Storage()

@@ -44,6 +44,8 @@ class Conductor(Model):
 
     id: Name
     phase: str | None = None
+    circuit: Name | None = None
+    """Conductors of one circuit carry one current and warm together; name it where the towers carry several."""
     near: Point
     """Attachment A: where the conductor leaves the clamp at the near tower."""
     far: Point

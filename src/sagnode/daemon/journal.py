@@ -274,6 +274,22 @@ class Journal:
             except sqlite3.Error as error:
                 raise _cannot(self.path, error) from error
 
+    def recent(self, limit: int) -> list[Row]:
+        """The newest readings, delivered or not, oldest first.
+
+        Raises:
+            JournalError: the journal cannot be read.
+        """
+        query = (
+            "SELECT sequence, conductor, json, crc FROM readings WHERE fate <> 'damaged' ORDER BY sequence DESC LIMIT ?"
+        )
+        with self._lock:
+            try:
+                found = self._db.execute(query, (limit,)).fetchall()
+                return [row for row in map(self._checked, reversed(found)) if row is not None]
+            except sqlite3.Error as error:
+                raise _cannot(self.path, error) from error
+
     def backlog(self) -> Backlog:
         """How much is owed, and how old the oldest is."""
         with self._lock:

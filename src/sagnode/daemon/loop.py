@@ -2,7 +2,7 @@
 
 ::
 
-    wait for the slot -> ask the worker -> stamp -> record -> publish -> show
+    wait for the slot -> ask the worker -> stamp -> compare with the past -> record -> publish -> show
 
 Nothing in it waits without a bound, and nothing that a camera, a worker, a disk or a broker does ends it: what fails
 becomes an invalid reading or a line of health. It ends when it is told to, or when a replay has shown its last frame.
@@ -31,6 +31,7 @@ from sagnode.daemon.show import Showcase
 from sagnode.daemon.stamp import Stamp
 from sagnode.message import ReadingHeader
 from sagnode.quality import Cause, Reason
+from sagnode.trend.watch import Trend
 from sagnode.worker.process import KILL_WAIT_S
 from sagnode.worker.supervisor import Outcome, Supervisor
 
@@ -106,6 +107,8 @@ class Parts:
     """Has the configuration read anew; False: it was refused, and all goes on as it was."""
     reopen: Callable[[], bool] = lambda: False
     """Whether the readings would be kept better in another place than now; asked every ten seconds."""
+    trend: Trend | None = None
+    """Marks readings that contradict those before them."""
 
 
 class Loop:
@@ -135,6 +138,9 @@ class Loop:
             rung = self._climb(outcome)
             trust = parts.machine.clock_trust()
             readings = self._stamped(outcome, began, began_s, trust)
+            if parts.trend is not None:
+                readings = parts.trend.judge(readings)
+                parts.showcase.trend_note = parts.trend.state
             readings = parts.recorder.record(readings)
             if parts.link is not None:
                 parts.link.wake()

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import os
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
+
+from pydantic import ValidationError
 
 from sagnode import __version__
 from sagnode.config.load import LoadedNode
@@ -30,8 +33,9 @@ from sagnode.daemon.show import Facts, Showcase
 from sagnode.daemon.spool import Spool
 from sagnode.daemon.stamp import Stamp
 from sagnode.daemon.store import VOLATILE_KEEP_MB, Stores
-from sagnode.errors import ConfigError
-from sagnode.message import Identity, StatusMessage
+from sagnode.errors import ConfigError, JournalError
+from sagnode.message import Identity, Reading, StatusMessage
+from sagnode.trend.watch import Trend, Watched
 from sagnode.worker.supervisor import Limits, Supervisor, command_line
 
 log = logging.getLogger(__name__)
@@ -42,6 +46,8 @@ STOP_DRAIN_S = 1.0
 """At a stop: time for what is on the wire."""
 EXIT_ANEW = 75
 """The service is to be started anew (sysexits.h: temporary failure)."""
+REMEMBER = 60
+"""Bursts of the journal that readings after a start are compared with."""
 
 
 def run(loaded: LoadedNode) -> int:
@@ -165,6 +171,7 @@ def _run_once(
             ladder=ladder,
             accept=reloader.accept,
             reopen=lambda: stores.better(recorder.refused_s),
+            trend=_trend(loaded, journal) if node.trend.watch else None,
         )
         log.info("sagnode %s, %s, state in %s", __version__, loaded.path, store.directory)
         if link is not None:
@@ -197,6 +204,21 @@ def _ladder(node: Node, notifier: notify.Notifier, boot_id: str, state_dir: Path
     )
     asked = runtime_directory()
     return Ladder(state_dir / "recovery.json", steps, boot_id, asked / "reboot-wanted" if asked else None)
+
+
+def _trend(loaded: LoadedNode, journal: Journal) -> Trend:
+    """The watch over the readings, with what the journal remembers."""
+    watched = {c.id: Watched.of(c) for c in loaded.span.conductors if c.measured}
+    trend = Trend(watched, loaded.node.trend.accept_after_s)
+    try:
+        rows = journal.recent(REMEMBER * len(watched))
+    except JournalError as error:
+        log.error("%s; readings are compared with later ones only", error)
+        rows = []
+    for row in rows:
+        with contextlib.suppress(ValidationError):  # written by another version; no past to compare with
+            trend.remember([Reading.model_validate_json(row.json)])
+    return trend
 
 
 def _beat(watchdog: notify.Watchdog, orders: Orders) -> bool:

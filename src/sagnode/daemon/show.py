@@ -81,6 +81,8 @@ class Showcase:
         self._last: dict[str, dict[str, Any]] = {}
         self.configuration_note = "ok"
         """What health says of the configuration, such as a reload that was refused."""
+        self.trend_note = "ok"
+        """What health says of readings that contradict those before them."""
 
     def hurry(self) -> None:
         """There is news for health; it is not to wait for its turn."""
@@ -177,6 +179,7 @@ class Showcase:
             journal=self._recorder.state,
             configuration=self.configuration_note,
             recovery=self._ladder.state if self._ladder else "ok",
+            trend=self.trend_note,
         )
 
     def _backlog(self) -> Backlog:
