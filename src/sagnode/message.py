@@ -210,6 +210,9 @@ class HealthMessage(Strict):
     outbox_depth: int
     outbox_oldest_s: float | None
     broker: str
+    certificate_ends_at: AwareDatetime | None = Field(
+        default=None, description="end of the client certificate at the broker; null without one"
+    )
     clock_synced: bool
     journal: str
     configuration: str = "ok"

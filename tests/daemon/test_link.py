@@ -303,8 +303,8 @@ def test_tls_with_client_certificates(tmp_path, node, certificates):
     [
         ({"ca_file": "other.crt"}, "certificate is not accepted"),
         ({"ca_file": "ca.crt", "host": "127.0.0.1"}, "certificate is not accepted"),
-        ({"ca_file": "ca.crt"}, "client certificate"),
-        ({"ca_file": "ca.crt", "cert_file": "stranger.crt", "key_file": "stranger.key"}, "check that it accepts"),
+        ({"ca_file": "ca.crt"}, "wants a client certificate (certificate required)"),
+        ({"ca_file": "ca.crt", "cert_file": "stranger.crt", "key_file": "stranger.key"}, "stranger.crt (unknown ca"),
         ({"ca_file": "ca.crt", "cert_file": "missing.crt", "key_file": "client.key"}, "missing.crt"),
         ({"ca_file": "ca.crt", "cert_file": "client.crt", "key_file": "stranger.key"}, "TLS fails"),
     ],

@@ -30,6 +30,8 @@ SERVICE_RUNTIME = Path("/run/sagnode")
 SILENT_S = 60.0
 """The daemon shows itself every ten seconds; so long without is a trouble."""
 DISK_LOW_MB = 100.0
+CERTIFICATE_DAYS = 30.0
+"""A tower is not visited overnight."""
 _WATCH_S = 2.0
 
 
@@ -97,7 +99,7 @@ def lines(report: dict[str, Any]) -> Iterator[str]:
         yield ""
         yield from _readings(page)
         yield ""
-        yield from (f"{name:<9} {text}" for name, text in _health(page) if text)
+        yield from (f"{name:<11} {text}" for name, text in _health(page) if text)
         yield ""
     if not report["problems"]:
         yield "fine"
@@ -214,6 +216,7 @@ def _problems(page: dict[str, Any], *, running: bool, known: bool, state_dir: Pa
     yield from _reading_problems(page, running=running)
     if running and page["broker_connected"] is False:
         yield f"broker: {health['broker']}"
+    yield from _certificate_problems(health)
     if page["waiting_in_memory"] or health["journal"] != "ok":
         yield f"journal: {health['journal']}"
     if health["disk_free_mb"] is not None and health["disk_free_mb"] < DISK_LOW_MB:
@@ -222,6 +225,17 @@ def _problems(page: dict[str, Any], *, running: bool, known: bool, state_dir: Pa
         yield "processor throttled: too little voltage or too hot"
     if health["configuration"] != "ok":
         yield f"configuration: {health['configuration']}"
+
+
+def _certificate_problems(health: dict[str, Any]) -> Iterator[str]:
+    left = _seconds_until(health.get("certificate_ends_at"))
+    if left is not None and left < CERTIFICATE_DAYS * 86400:
+        when = f"ends in {_duration(left)}" if left > 0 else f"ended {_duration(-left)} ago"
+        yield f"certificate: mqtt.tls.cert_file {when}; renew it: sagnode-enrol request"
+
+
+def _seconds_until(moment: str | None) -> float | None:
+    return None if moment is None else (datetime.fromisoformat(moment) - datetime.now(UTC)).total_seconds()
 
 
 def _reading_problems(page: dict[str, Any], *, running: bool) -> Iterator[str]:
@@ -274,6 +288,8 @@ def _health(page: dict[str, Any]) -> Iterator[tuple[str, str]]:
     health = page["health"]
     yield "camera", health.get("camera", "")
     yield "broker", health.get("broker", "")
+    ends = health.get("certificate_ends_at")
+    yield "certificate", f"ends {_moment(ends)}" if ends else ""
     depth, oldest = health.get("outbox_depth"), health.get("outbox_oldest_s")
     waits = "" if depth is None else f"{depth} readings wait" if depth else "empty"
     yield "outbox", waits + (f", the oldest for {_duration(oldest)}" if depth and oldest is not None else "")

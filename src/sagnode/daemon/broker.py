@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import os
+import re
 import socket
 import ssl
 from dataclasses import dataclass
+from datetime import datetime
 from pathlib import Path
 
 import paho.mqtt.client as mqtt
@@ -13,7 +15,10 @@ from paho.mqtt.enums import CallbackAPIVersion
 from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.properties import Properties
 
+from sagnode.daemon import certificate
+
 CONNECT_TIMEOUT_S = 10.0
+_ASKING_TIMEOUT_S = 2.0
 
 
 @dataclass(frozen=True)
@@ -82,6 +87,8 @@ class Broker:
                         "issue the CA anew with keyUsage keyCertSign, the others with their key identifiers (RFC 5280)"
                     )
                 return f"{where}: its certificate is not accepted ({error.verify_message}); {remedy}"
+            case ssl.SSLError() if _alert(error):
+                return f"{where}: {self.refused_certificate(_alert(error))}"
             case ssl.SSLError():
                 return f"{where}: TLS fails ({error.reason or error}); check mqtt.port and the files of [mqtt.tls]"
             case socket.gaierror():
@@ -99,6 +106,49 @@ class Broker:
             case _:
                 return f"{where}: {error}; check mqtt.host"
 
+    def certificate_ends_at(self) -> datetime | None:
+        """End of the client certificate; None where there is none, or none that can be read."""
+        if self.cert_file is None:
+            return None
+        try:
+            return certificate.term(self.cert_file.read_text(encoding="utf-8")).ends
+        except (OSError, ValueError):
+            return None
+
+    def how_it_hangs_up(self) -> str | None:
+        """Why the broker ends a TLS connection before it has answered, or None when it does not say.
+
+        In TLS 1.3 it looks at the client's certificate after the client's side of the handshake is over, and its word
+        on that is often lost behind what the client has sent meanwhile. So it is asked again, and nothing is sent.
+        """
+        if not self.tls:
+            return None
+        try:
+            with (
+                socket.create_connection((self.host, self.port), _ASKING_TIMEOUT_S) as raw,
+                self.tls_context().wrap_socket(raw, server_hostname=self.host) as secured,
+            ):
+                secured.recv(1)
+        except ssl.SSLError as error:
+            return self.refused_certificate(_alert(error)) if _alert(error) else None
+        except OSError:
+            return None
+        return None
+
+    def refused_certificate(self, alert: str) -> str:
+        """A sentence for a TLS alert about this client's certificate, and what to do."""
+        if alert == "certificate required" or self.cert_file is None:
+            return f"wants a client certificate ({alert}); see mqtt.tls.cert_file"
+        ends = self.certificate_ends_at()
+        remedies = {
+            "certificate expired": "renew it (sagnode-enrol request), or set the clock of whoever has a wrong one",
+            "certificate revoked": "if this unit is still to be trusted, have a new one signed (sagnode-enrol request)",
+            "unknown ca": "it must be signed by an authority that the broker knows",
+        }
+        remedy = remedies.get(alert, "it must be one for TLS clients, signed by an authority that the broker knows")
+        until = f", ends {ends:%Y-%m-%d %H:%M} UTC" if ends else ""
+        return f"does not accept {self.cert_file} ({alert}{until}); {remedy}"
+
     def tls_context(self) -> ssl.SSLContext:
         """TLS 1.2 or later, server name verified, with the client's certificate where there is one.
 
@@ -115,6 +165,18 @@ class Broker:
                     file.open("rb").close()  # an unreadable file is named; load_cert_chain would not say which
             context.load_cert_chain(self.cert_file, self.key_file)
         return context
+
+
+def _alert(error: ssl.SSLError) -> str:
+    """The other side's reason to end the connection, in words; empty when the error is of this side.
+
+    >>> error = ssl.SSLError()
+    >>> error.reason = "SSLV3_ALERT_CERTIFICATE_REVOKED"
+    >>> _alert(error)
+    'certificate revoked'
+    """
+    found = re.fullmatch(r"(?:SSLV3|TLSV1|TLSV13)_ALERT_(\w+)", error.reason or "")
+    return found[1].replace("_", " ").lower() if found else ""
 
 
 def _first_line(file: Path | None) -> str | None:

@@ -13,6 +13,7 @@ import logging
 import random
 import threading
 import time
+from datetime import datetime
 
 from sagnode.daemon.logs import Seldom
 from sagnode.daemon.outbox import Outbox
@@ -56,6 +57,10 @@ class Link:
         """Publish a retained document below the prefix; only the newest of each topic is kept."""
         self._mailbox.put(topic, payload)
         self._mailbox.nudge()
+
+    def certificate_ends_at(self) -> datetime | None:
+        """End of the client certificate that the next connection will use."""
+        return self._terms.broker.certificate_ends_at()
 
     def stop(self, drain_s: float, status: bytes) -> None:
         """Send what is owed for so long, say goodbye and hang up; waits until that is done, a little longer at most."""

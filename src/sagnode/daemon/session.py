@@ -208,6 +208,9 @@ class Session:
             return f"hung up soon after it accepted; another client may use mqtt.client_id = {self._broker.client_id}"
         if self._accepted:
             return "connection lost"
+        told = self._broker.how_it_hangs_up()
+        if told:
+            return told
         if self._broker.tls and self._broker.cert_file is None:
             return "hung up before it answered; it may want a client certificate (mqtt.tls.cert_file)"
         if self._broker.tls:

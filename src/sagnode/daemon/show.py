@@ -175,6 +175,7 @@ class Showcase:
             outbox_depth=backlog.depth,
             outbox_oldest_s=None if age is None else max(0.0, age),
             broker=self._link.state if self._link else "none configured",
+            certificate_ends_at=self._link.certificate_ends_at() if self._link else None,
             clock_synced=trust.synced,
             journal=self._recorder.state,
             configuration=self.configuration_note,

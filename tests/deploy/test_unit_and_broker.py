@@ -1,0 +1,182 @@
+"""The whole daemon against the utility's side as shipped: enrolment, refused certificates, renewal without restart."""
+
+import contextlib
+import json
+import os
+import shutil
+import sqlite3
+import subprocess
+import sys
+import time
+
+import pytest
+from brokers import MOSQUITTO
+from utility import CA, ROOT, Party, UtilityBroker, enrol, ran
+
+pytestmark = pytest.mark.skipif(
+    MOSQUITTO is None or shutil.which("openssl") is None, reason="mosquitto or openssl is not installed"
+)
+
+UNIT = "u/l/s/n"
+NODE = """
+span_file = "span.toml"
+[unit]
+utility = "u"
+line = "l"
+span = "s"
+unit = "n"
+[camera]
+backend = "v4l2"
+v4l2 = { device = "/dev/video99" }
+[schedule]
+interval_s = 0.3
+deadline_s = 30
+[worker]
+backoff_max_s = 1.0
+[storage]
+state_dir = "state"
+[mqtt]
+host = "localhost"
+port = PORT
+[mqtt.tls]
+ca_file = "tls/ca.crt"
+cert_file = "tls/unit.pem"
+key_file = "tls/unit.pem"
+"""
+
+
+@pytest.fixture
+def ca(tmp_path):
+    ran(CA, tmp_path / "ca", "init")
+    ran(CA, tmp_path / "ca", "broker", "localhost")
+    ran(CA, tmp_path / "ca", "consumer", "scada")
+    return tmp_path / "ca"
+
+
+@pytest.fixture
+def unit(tmp_path):
+    """Starts the daemon beside a broker; a camera that is not there makes invalid readings, which are readings too."""
+    site = tmp_path / "site"
+    site.mkdir(exist_ok=True)
+    for name in ("span.toml", "camera.yaml", "reference.jpg"):
+        shutil.copy(ROOT / "src/sagnode/demo/site" / name, site)
+    running = []
+
+    def start(broker):
+        (site / "node.toml").write_text(NODE.replace("PORT", str(broker.port)))
+        environment = {k: v for k, v in os.environ.items() if k not in {"STATE_DIRECTORY", "RUNTIME_DIRECTORY"}}
+        with (tmp_path / "log").open("ab") as log:
+            words = [sys.executable, "-m", "sagnode", "run", "--config", str(site)]
+            running.append(subprocess.Popen(words, stdout=log, stderr=log, env=environment))
+        return running[-1]
+
+    start.site = site
+    yield start
+    for process in running:
+        process.kill()
+        process.wait()
+
+
+def status(site):
+    with contextlib.suppress(OSError):
+        return json.loads((site / "state" / "status.json").read_text())
+    return None
+
+
+def wait_for(condition, seconds=25.0):
+    until = time.monotonic() + seconds
+    while not (result := condition()):
+        assert time.monotonic() < until
+        time.sleep(0.05)
+    return result
+
+
+def journalled(site):
+    with sqlite3.connect(site / "state" / "journal.sqlite") as db:
+        return [sequence for (sequence,) in db.execute("SELECT sequence FROM readings ORDER BY sequence")]
+
+
+def scada(broker, ca):
+    keys = ca / "keys"
+    return Party(broker.port, ca, keys / "scada.crt", key=keys / "scada.key", topic=f"sagnode/v1/{UNIT}/#")
+
+
+def sequences(party):
+    return {json.loads(m.payload)["sequence"] for m in party.messages if "/measurement/" in m.topic}
+
+
+@pytest.mark.parametrize(
+    ("trouble", "said"),
+    [
+        ("expired", "unit.pem (certificate expired, ends 2020-01-01"),
+        ("strange", "unit.pem (unknown ca, ends"),
+        ("revoked", "unit.pem (certificate revoked, ends"),
+    ],
+)
+def test_a_refused_certificate_is_told_readings_are_kept_and_renewal_needs_no_restart(
+    tmp_path, ca, unit, trouble, said
+):
+    tls = unit.site / "tls"
+    match trouble:
+        case "expired":
+            enrol(ca, tls, UNIT, by_hand=True, UNTIL="20200101000000Z")
+        case "strange":
+            ran(CA, tmp_path / "strange", "init")
+            enrol(tmp_path / "strange", tls, UNIT)
+        case "revoked":
+            enrol(ca, tls, UNIT)
+            ran(CA, ca, "revoke", UNIT)
+    shutil.copy(ca / "ca.crt", tls / "ca.crt")
+    with UtilityBroker(tmp_path, ca) as broker, scada(broker, ca) as consumer:
+        process = unit(broker)
+        wait_for(lambda: said in (tmp_path / "log").read_text())
+        wait_for(lambda: (s := status(unit.site)) and s["health"]["readings_made"] >= 6)
+        assert not consumer.messages
+        assert status(unit.site)["health"]["outbox_depth"] >= 6
+        enrol(ca, tls, UNIT)
+        wait_for(lambda: status(unit.site)["broker_connected"])
+        made = set(journalled(unit.site))
+        consumer.wait_for(lambda c: made <= sequences(c), 15)
+        assert process.poll() is None
+        assert "Traceback" not in (tmp_path / "log").read_text()
+
+
+def test_what_the_access_list_forbids_is_kept_and_told(tmp_path, ca, unit):
+    """A certificate for another name: the broker lets it in, and takes nothing below this one."""
+    enrol(ca, unit.site / "tls", "u/l/s/other")
+    with UtilityBroker(tmp_path, ca) as broker, scada(broker, ca) as consumer:
+        unit(broker)
+        wait_for(lambda: (s := status(unit.site)) and s["health"]["outbox_depth"] >= 6)
+        said = (tmp_path / "log").read_text()
+        assert "does not take status: Not authorized" in said
+        assert "reading 1 set aside" in said and "the broker answered: Not authorized" in said
+        assert not consumer.messages
+
+
+def test_the_end_of_the_certificate_is_told_beforehand(tmp_path, ca, unit):
+    enrol(ca, unit.site / "tls", UNIT, DAYS="20")
+    with UtilityBroker(tmp_path, ca) as broker, scada(broker, ca) as consumer:
+        unit(broker)
+        consumer.wait_for(lambda c: [m for m in c.messages if m.topic.endswith("/health")], 20)
+        health = json.loads(next(m for m in consumer.messages if m.topic.endswith("/health")).payload)
+        words = [sys.executable, "-m", "sagnode", "status", "--state-dir", str(unit.site / "state")]
+        shown = subprocess.run(words, capture_output=True, text=True)
+        assert shown.returncode == 1
+        assert "certificate: mqtt.tls.cert_file ends in 19 d" in shown.stdout
+        ends = ran(
+            "openssl", "x509", "-in", unit.site / "tls/unit.pem", "-noout", "-enddate", "-dateopt", "iso_8601"
+        ).stdout
+        assert health["certificate_ends_at"] == ends.strip().removeprefix("notAfter=").replace(" ", "T")
+
+
+def test_a_broker_of_another_name_or_authority_gets_nothing(tmp_path, ca, unit):
+    """Neither password nor reading: the connection ends before CONNECT."""
+    enrol(ca, unit.site / "tls", UNIT)
+    ran(CA, ca, "broker", "somewhere.example.org")
+    with UtilityBroker(tmp_path, ca) as broker:
+        unit(broker)
+        said = wait_for(
+            lambda: (s := status(unit.site)) and "not accepted" in s["health"]["broker"] and s["health"]["broker"]
+        )
+        assert "Hostname mismatch" in said and "check mqtt.host" in said
+        assert "connected from" not in broker.log.read_text()
