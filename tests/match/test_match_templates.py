@@ -5,7 +5,8 @@ import pytest
 
 from sagnode.geometry.camera import Intrinsics, Pose, project, rotation_from_angles
 from sagnode.geometry.conductor import control_points
-from sagnode.match.templates import View, even_parameters, search
+from sagnode.match.search import search
+from sagnode.match.templates import View, even_parameters
 from sagnode.scene.presets import simple_scene
 from sagnode.scene.render import render
 

@@ -13,7 +13,8 @@ from sagnode.estimate.register import Registered, moved_survey
 from sagnode.geometry.camera import FloatArray
 from sagnode.match.refine import Observed, Sighting, Track, observe, runs_near, sight, trace
 from sagnode.match.ribbon import SIDE_OFFSET_PX, normals, pair_response
-from sagnode.match.templates import SAMPLES, STEP_PX, View, even_parameters, search
+from sagnode.match.search import search
+from sagnode.match.templates import SAMPLES, STEP_PX, View, even_parameters
 from sagnode.site import Site, SiteConductor
 from sagnode.survey import ATTACHMENTS, SAG, SWING, Survey
 

@@ -20,6 +20,9 @@ SIDE_OFFSET_PX = 2.5
 RESPONSE_CLIP = 24.0
 """Grey levels above which one sample counts no more: strong edges of towers and clouds must not outvote a thin wire."""
 
+NO_BAND = np.zeros((1, 1), dtype=np.float32)
+Singles = NDArray[np.float32]
+
 
 def normals(pixels: FloatArray) -> FloatArray:
     """Unit normals (..., N, 2) of polylines (..., N, 2) by central differences along the second-last axis."""
@@ -64,19 +67,62 @@ def pair_response(image: GreyImage, centre: FloatArray, side: FloatArray) -> NDA
     positive where both sides are brighter (dark wire on sky) or both darker (sunlit wire before trees), and negative on
     a mere edge. Samples whose centre or side is outside the frame are NaN.
     """
+    shape = centre.shape[:-1]
+    parts = (centre[..., 0], centre[..., 1], side[..., 0], side[..., 1])
+    u, v, side_u, side_v = (np.asarray(part, dtype=np.float32).reshape(-1, shape[-1]) for part in parts)
+    response, seen = pooled_response(image, (u, v), (side_u, side_v), np.ones((1, 1), np.float32), NO_BAND)
+    return np.where(seen, response, np.float32(np.nan)).astype(np.float32).reshape(shape)
+
+
+def pooled_response(
+    image: GreyImage,
+    pixel: tuple[Singles, Singles],
+    normal: tuple[Singles, Singles],
+    side: Singles,
+    band: Singles,
+) -> tuple[NDArray[np.int16], NDArray[np.bool_]]:
+    """The best pair response within bands across curves, in whole grey levels, and which samples lie in the frame.
+
+    Args:
+        image: raw grey frame.
+        pixel: columns and rows (M, N) of the samples, px.
+        normal: both components (M, N) of the curves' normals.
+        side: distance of the sides from each place, in lengths of the normal; broadcasts to (M, N).
+        band: where across the curves to look (B, M), in lengths of the normal.
+
+    Returns:
+        Responses (M, N), clipped to ±RESPONSE_CLIP, and whether a sample with both its sides is in the frame (M, N);
+        out of it a response says nothing.
+    """
     height, width = image.shape
-    maps = [centre, centre - side, centre + side]
-    flat = [
-        np.ascontiguousarray(np.nan_to_num(m, nan=-9.0).reshape(-1, m.shape[-2], 2), dtype=np.float32) for m in maps
-    ]
-    c, left, right = (
-        cv2.remap(image, m[..., 0], m[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE).astype(np.int16)
-        for m in flat
-    )
-    a, b = left - c, right - c
-    response = np.maximum(np.minimum(a, b), np.minimum(-a, -b)).astype(np.float32)
-    np.clip(response, -RESPONSE_CLIP, RESPONSE_CLIP, out=response)
-    for m in flat:
-        outside = (m[..., 0] < 0) | (m[..., 1] < 0) | (m[..., 0] > width - 1) | (m[..., 1] > height - 1)
-        response[outside] = np.nan
-    return np.asarray(response.reshape(centre.shape[:-1]))
+    (u, v), (nu, nv) = pixel, normal
+    seen = np.ones(u.shape, dtype=bool)
+    margin = float(np.max(np.abs(side)) + np.max(np.abs(band)))
+    if not all(_within(p, margin, end - 1 - margin) for p, end in ((u, width), (v, height))):
+        with np.errstate(invalid="ignore"):
+            for p, n, end in ((u, nu, width), (v, nv, height)):
+                reach = np.abs(side * n)
+                seen &= (p >= reach) & (p + reach <= end - 1)
+    side_u, side_v = side * nu, side * nv
+    x, y = np.empty_like(u), np.empty_like(v)
+    best: NDArray[np.int16] | None = None
+    for shift in band:
+        base_u, base_v = (u, v) if not shift.any() else (u + shift[:, None] * nu, v + shift[:, None] * nv)
+        centre = _grey(image, base_u, base_v)
+        left = _grey(image, np.subtract(base_u, side_u, out=x), np.subtract(base_v, side_v, out=y))
+        right = _grey(image, np.add(base_u, side_u, out=x), np.add(base_v, side_v, out=y))
+        dark = cv2.subtract(cv2.min(left, right), centre, dtype=cv2.CV_16S)
+        bright = cv2.subtract(centre, cv2.max(left, right), dtype=cv2.CV_16S)
+        response = cv2.max(dark, bright)
+        best = response if best is None else cv2.max(best, response)
+    return np.clip(best, -int(RESPONSE_CLIP), int(RESPONSE_CLIP)), seen
+
+
+def _grey(image: GreyImage, u: Singles, v: Singles) -> GreyImage:
+    """Bilinear grey values (M, N), rounded; the frame's edge goes on beyond it."""
+    return cv2.remap(image, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+
+
+def _within(values: Singles, low: float, high: float) -> bool:
+    """Whether all values lie from ``low`` to ``high``; NaN does not."""
+    return bool(values.min() >= low and values.max() <= high)

@@ -1,0 +1,279 @@
+"""Coarse search: which sag and swing put a conductor's curve on something like a wire.
+
+Every sample of the curve moves at its own pace: seen along the line, one near the camera crosses a hundred pixels while
+one at the far end crosses ten. So each stretch of the curve is compared with the picture on a grid of sag × swing of its
+own, just fine enough for it, and the stretches' scores are interpolated onto one common grid and added there.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sagnode.capture.port import GreyImage
+from sagnode.geometry.camera import FloatArray, distort, projection_derivatives
+from sagnode.geometry.conductor import conductor_points, gravity_direction, loaded_profile
+from sagnode.match.ribbon import SIDE_OFFSET_PX, normals, pooled_response
+from sagnode.match.templates import STEP_PX, View, even_parameters
+
+SEARCH_SAMPLES = 64
+GROUPS = 6
+"""Stretches of the curve that have a grid of their own."""
+MAX_TEMPLATES = 4_000
+"""Beyond this a grid's steps grow, and each sample is looked for in a band instead."""
+BAND_GAIN = 1.5
+"""By how much a grid's steps grow with the band in which a sample is looked for."""
+POOL_PX = 2.0
+"""Widest spacing of the five places across the curve whose best response counts where its place is uncertain."""
+BAND_LIMITS_PX = (0.35, 0.8)
+BANDS = ((0.0,), (-1.5, 0.0, 1.5), (-2.0, -1.0, 0.0, 1.0, 2.0))
+"""Where across the curve to look, in its uncertainty of place, up to each limit of that and beyond."""
+SPREAD_PX = 4.0
+"""Uncertainty of a sample's place at which it counts half."""
+SWING_PRIOR = 0.3
+"""Grey levels of mean response that one half-squared standard deviation of swing must earn."""
+
+NEAREST_M = 1e-3
+OUTSIDE_PX = -1e4
+"""Where points that the camera cannot see are put."""
+
+FloatGrid = NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A local maximum of the coarse search."""
+
+    sag: float
+    swing: float
+    score: float
+    visible: float
+
+
+def search(
+    image: GreyImage,
+    view: View,
+    sag_range: tuple[float, float],
+    swing_max: float,
+    swing_u: float,
+    attachment_u: float,
+    keep: int = 8,
+) -> list[Candidate]:
+    """Coarse search over sag × swing; the best, well separated candidates, best first.
+
+    Args:
+        image: raw grey frame.
+        view: the conductor as the camera sees it now.
+        sag_range: smallest and largest in-plane sag, m.
+        swing_max: largest swing, rad; a view that cannot tell swing is searched at zero only.
+        swing_u: standard uncertainty of the swing's prior, rad.
+        attachment_u: standard uncertainty of the attachments, m; samples that it moves are looked for in a band.
+        keep: most candidates.
+    """
+    middle = 0.5 * (sag_range[0] + sag_range[1])
+    t = even_parameters(view, middle, 0.0, SEARCH_SAMPLES, span_share=0.5)
+    if t.size < 2:
+        return []
+    spread, by_sag, by_swing = _movements(view, middle, t, attachment_u)
+    step = STEP_PX * (1 + BAND_GAIN * np.minimum(spread, POOL_PX))
+    sag_steps = by_sag * (sag_range[1] - sag_range[0]) / step
+    # what swing does beyond what sag does decides whether swing is worth searching
+    swing_steps = 2 * by_swing * swing_max / step
+    if not float(np.percentile(swing_steps, 95)) > 4:
+        swing_steps = np.zeros_like(swing_steps)
+    if not sag_steps.any():
+        return []
+    family = _Family.of(view, sag_range, t)
+    stretches = []
+    for part in np.array_split(np.arange(len(t)), GROUPS):
+        n_sag, n_swing = float(sag_steps[part].max()), float(swing_steps[part].max())
+        excess = max(1.0, (n_sag + 1) * (n_swing + 1) / MAX_TEMPLATES)
+        coarser = np.sqrt(excess) if n_swing > 0 else excess
+        sags = np.linspace(*sag_range, max(2, int(np.ceil(n_sag / coarser)) + 1))
+        swings = np.linspace(-swing_max, swing_max, 2 * int(np.ceil(0.5 * n_swing / coarser)) + 1)
+        swings = swings if len(swings) > 1 else np.zeros(1)
+        grown = np.maximum(spread[part], 0.5 * step[part] * coarser if coarser > 1 else 0.0)
+        total, count = _stretch(image, view, family, sags, swings, part, grown)
+        stretches.append((sags, swings, total, count))
+    sags = max((s[0] for s in stretches), key=len)
+    swings = max((s[1] for s in stretches), key=len)
+    total = np.zeros((len(sags), len(swings)))
+    count = np.zeros_like(total)
+    for own_sags, own_swings, own_total, own_count in stretches:
+        to_sag, to_swing = _interpolation(own_sags, sags), _interpolation(own_swings, swings)
+        total += to_sag @ own_total @ to_swing.T
+        count += to_sag @ own_count @ to_swing.T
+    scores = total / np.maximum(count, 1e-6)
+    visible = count / max(float(np.sum(_trust(spread))), 1e-6)
+    # the prior on swing decides where the view hardly sees it, and keeps clutter at extreme swings in its place
+    prior = SWING_PRIOR * 0.5 * (swings / swing_u) ** 2
+    ranked = np.where(visible >= 0.2 * visible.max(initial=0.0), scores - prior[None, :], -np.inf)
+    return _peaks(ranked, scores, visible, sags, swings, keep)
+
+
+def _movements(
+    view: View, sag: float, t: FloatArray, attachment_u: float
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """What moves each sample (N,) across the curve, at that sag and no swing.
+
+    Returns:
+        The attachments' uncertainty (px, one standard deviation), sag (px per metre) and swing (px per radian).
+    """
+    points = conductor_points(view.near, view.far, sag, 0.0, t, view.load)
+    pixels, _ = view.pixels(sag, 0.0, t)
+    by_point, _ = projection_derivatives(view.intrinsics, view.pose, points)
+    across = np.nan_to_num(np.einsum("ni,nij->nj", normals(pixels), by_point))
+    # an attachment carries the curve along in proportion to how near it is
+    spread = attachment_u * np.linalg.norm(across, axis=1) * np.hypot(1 - t, t)
+    rise = view.far - view.near
+    depth = loaded_profile(float(np.hypot(rise[0], rise[1])), float(rise[2]), sag, t, view.load)
+    down, turned = gravity_direction(view.near, view.far, np.array([0.0, 1e-3]))
+    return spread, np.abs(across @ down) * depth / sag, np.abs(across @ (turned - down)) * 1e3 * depth
+
+
+def _trust(spread: FloatArray) -> FloatArray:
+    """Weight (N,) of samples whose places are uncertain by ``spread`` px."""
+    return np.asarray(1.0 / (1.0 + (spread / SPREAD_PX) ** 2))
+
+
+def _interpolation(own: FloatArray, common: FloatArray) -> FloatArray:
+    """Matrix (K, n) of linear interpolation from n even grid points to K over the same range."""
+    if len(own) == 1:
+        return np.ones((len(common), 1))
+    place = np.linspace(0.0, len(own) - 1.0, len(common))
+    first = np.minimum(place.astype(np.intp), len(own) - 2)
+    matrix = np.zeros((len(common), len(own)))
+    rows = np.arange(len(common))
+    matrix[rows, first] = 1 - (place - first)
+    matrix[rows, first + 1] = place - first
+    return matrix
+
+
+@dataclass(frozen=True)
+class _Family:
+    """All curves of a conductor in the camera's frame: ``chord + profile(sag) · direction(swing)``, single precision.
+
+    A catenary's profile over its sag is even in the sag, so two sags tell the others to a millimetre.
+    """
+
+    chord: FloatGrid
+    """Samples of the chord (N, 3), m."""
+    slope: FloatGrid
+    """Profile per metre of sag for no sag (N,)."""
+    bend: FloatGrid
+    """What the square of the sag adds to that (N,)."""
+    turn: FloatGrid
+    """Direction of gravity as constant, by cosine and by sine of the swing (3, 3)."""
+
+    @classmethod
+    def of(cls, view: View, sag_range: tuple[float, float], t: FloatArray) -> _Family:
+        """The family of the samples ``t`` (N,)."""
+        rise = view.far - view.near
+        ends = np.array(sag_range)
+        low, high = loaded_profile(np.full(2, np.hypot(rise[0], rise[1])), rise[2], ends, t, view.load) / ends[:, None]
+        bend = (high - low) / (ends[1] ** 2 - ends[0] ** 2)
+        ahead, aside, back = gravity_direction(view.near, view.far, np.array([0.0, 0.5, 1.0]) * np.pi)
+        middle = 0.5 * (ahead + back)
+        turn = np.stack([middle, 0.5 * (ahead - back), aside - middle]) @ view.pose.rotation.T
+        chord = (view.near + t[:, None] * rise - view.pose.position) @ view.pose.rotation.T
+        parts = (chord, low - bend * ends[0] ** 2, bend, turn)
+        return cls(*(part.astype(np.float32) for part in parts))
+
+    def points(self, part: NDArray[np.intp], sags: FloatArray, swings: FloatArray) -> list[FloatGrid]:
+        """Coordinates x, y, z (n, S, W) of some samples (n,) in the camera's frame, m."""
+        sag = sags.astype(np.float32)
+        profile = sag * (self.slope[part, None] + self.bend[part, None] * sag**2)
+        turn = np.stack([np.ones_like(swings), np.cos(swings), np.sin(swings)], axis=1).astype(np.float32)
+        direction = turn @ self.turn
+        return [self.chord[part, i, None, None] + profile[:, :, None] * direction[:, i] for i in range(3)]
+
+
+def _stretch(
+    image: GreyImage,
+    view: View,
+    family: _Family,
+    sags: FloatArray,
+    swings: FloatArray,
+    part: NDArray[np.intp],
+    spread: FloatArray,
+) -> tuple[FloatArray, FloatArray]:
+    """Sums (S, W) of the responses of one stretch's samples, and of the weights of those in the frame.
+
+    Args:
+        image: raw grey frame.
+        view: the conductor as the camera sees it.
+        family: its curves.
+        sags: grid of sags (S,), m.
+        swings: grid of swings (W,), rad.
+        part: which samples of the family belong to the stretch (n,), without a gap.
+        spread: how uncertain the place of each of them is (n,), px.
+    """
+    # a neighbour on either side gives the stretch's ends their tangents
+    padded = np.arange(max(0, part[0] - 1), min(len(family.chord), part[-1] + 2))
+    inner = slice(int(part[0] - padded[0]), int(part[0] - padded[0]) + len(part))
+    u, v, depth = _project(view, *family.points(padded, sags, swings))
+    du, dv = _along(u)[inner], _along(v)[inner]
+    shorten = 1 / np.sqrt(np.maximum(du * du + dv * dv, np.float32(1e-9)))
+    half = np.float32(0.5 * view.diameter * view.intrinsics.fx) / depth[inner] + np.float32(1.5)
+    pool = np.minimum(spread, POOL_PX)
+    band = BANDS[np.searchsorted(BAND_LIMITS_PX, float(pool.max()))]
+    rows, shape = (len(part), -1), (len(sags), len(swings))
+    response, seen = pooled_response(
+        image,
+        (u[inner].reshape(rows), v[inner].reshape(rows)),
+        ((-dv * shorten).reshape(rows), (du * shorten).reshape(rows)),
+        np.maximum(half, np.float32(SIDE_OFFSET_PX)).reshape(rows),
+        (np.array(band)[:, None] * pool).astype(np.float32),
+    )
+    if not seen.all():
+        response[~seen] = 0
+    trust = _trust(spread).astype(np.float32)
+    total = trust @ response.astype(np.float32)
+    count = trust @ seen.astype(np.float32)
+    return total.reshape(shape).astype(np.float64), count.reshape(shape).astype(np.float64)
+
+
+def _project(view: View, x: FloatGrid, y: FloatGrid, z: FloatGrid) -> tuple[FloatGrid, FloatGrid, FloatGrid]:
+    """Pixels u, v and depth of points of the camera frame, single precision; far outside where it is not ahead."""
+    lens = view.intrinsics
+    ahead = z > NEAREST_M
+    every = bool(ahead.all())
+    depth = z if every else np.where(ahead, z, np.float32(1.0))
+    x, y = x / depth, y / depth
+    if any(lens.distortion):
+        within = x * x + y * y <= lens.reach**2
+        ahead &= within
+        every = every and bool(within.all())
+        # a double precision coefficient would make everything after it double
+        x, y = distort(replace(lens, distortion=tuple(map(float, lens.distortion))), x, y)
+    u = float(lens.fx) * x + float(lens.cx)
+    v = float(lens.fy) * y + float(lens.cy)
+    if not every:
+        u, v = np.where(ahead, u, np.float32(OUTSIDE_PX)), np.where(ahead, v, np.float32(OUTSIDE_PX))
+    return u, v, depth
+
+
+def _along(values: FloatGrid) -> FloatGrid:
+    """Differences of neighbours along the first axis: central ones, one-sided at the ends."""
+    difference = np.empty_like(values)
+    np.subtract(values[2:], values[:-2], out=difference[1:-1])
+    np.subtract(values[1], values[0], out=difference[0])
+    np.subtract(values[-1], values[-2], out=difference[-1])
+    return difference
+
+
+def _peaks(
+    ranked: FloatArray, scores: FloatArray, visible: FloatArray, sags: FloatArray, swings: FloatArray, keep: int
+) -> list[Candidate]:
+    """Local maxima of the ranked grid, non-maxima within two steps suppressed."""
+    left = ranked.copy()
+    found: list[Candidate] = []
+    for _ in range(keep):
+        i, j = np.unravel_index(int(np.argmax(left)), left.shape)
+        if not np.isfinite(left[i, j]):
+            break
+        found.append(Candidate(float(sags[i]), float(swings[j]), float(scores[i, j]), float(visible[i, j])))
+        left[max(0, i - 2) : i + 3, max(0, j - 2) : j + 3] = -np.inf
+    return found
