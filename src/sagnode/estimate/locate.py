@@ -38,11 +38,18 @@ STAGES = (Stage(8.0, 8.0, 2, 6, 5), Stage(5.0, 8.0, 4, 1, 6), Stage(3.0, 20.0, 8
 MAX_BLOCKS = 80
 """More blocks say nothing new: neighbours within a few dozen pixels share their error."""
 CANDIDATES = 4
+VALLEY_NODES = 9
+"""Curves along the valley that are projected; the others between them are interpolated."""
+MOST_COMPARED = 400
+"""Points of a curve from which its distance to another is taken."""
 RIVAL_APART_PX = 3.0
 RIVAL_MIN_PX = 16
 RIVAL_WORTH_A_LOOK = 0.6
 RIVAL_RESPONSE = 2.0
 """Mean response, in grey levels, below which a stretch of curve is taken to lie on nothing."""
+
+
+NOT_LOOKED_AT = Sighting(0.0, np.zeros(0, dtype=bool))
 
 
 @dataclass(frozen=True)
@@ -56,7 +63,7 @@ class Matched:
     observed: Observed
     response: float
     """Mean response along the curve, half by length in the picture and half by length of the span, grey levels."""
-    sighting: Sighting
+    sighting: Sighting = NOT_LOOKED_AT
     rival: float = 0.0
     """Response of the best different curve over this one's where the two part; 0 if there is none."""
 
@@ -89,7 +96,7 @@ def locate(site: Site, image: GreyImage, registered: Registered) -> dict[str, Ma
             masked = _refine(image, conductor, registered, first.solution.theta, others, STAGES[1:])
             first = None if masked is None else replace(masked, rival=first.rival)
         if first is not None:
-            found[conductor.id] = first
+            found[conductor.id] = replace(first, sighting=sight(image, first.track))
     return found
 
 
@@ -168,11 +175,18 @@ def _along_the_valley(image: GreyImage, found: Matched, conductor: SiteConductor
     amounts = np.linspace(-reach, reach, count)
     sags = theta[SAG] + amounts * direction[SAG]
     amounts = amounts[(sags > low) & (sags < high)]
-    scores = np.empty(len(amounts))
-    width = found.view.width_px(depth)
-    for i, amount in enumerate(amounts):
-        curve = pixels(float(amount))[0]
-        scores[i] = np.nanmean(np.append(_response(image, curve, width), 0.0))
+    if not len(amounts):
+        return []
+    # a pixel's way along the valley is smooth: a polynomial through a few exact curves gives the others
+    middle, half = 0.5 * (amounts[0] + amounts[-1]), 0.5 * (amounts[-1] - amounts[0])
+    nodes = np.polynomial.chebyshev.chebpts1(VALLEY_NODES)
+    exact = np.stack([pixels(float(middle + half * node))[0] for node in nodes])
+    through = np.linalg.inv(np.polynomial.chebyshev.chebvander(nodes, VALLEY_NODES - 1))
+    wanted = np.polynomial.chebyshev.chebvander((amounts - middle) / max(half, 1e-12), VALLEY_NODES - 1)
+    curves = np.tensordot(wanted @ through, exact, axes=1)
+    response = _response(image, curves, found.view.width_px(depth))
+    # one more sample that shows nothing: a curve that is out of the frame is no good one
+    scores = np.nansum(response, axis=1) / (np.isfinite(response).sum(axis=1) + 1)
     starts = []
     for _ in range(2):
         if not len(scores) or not np.isfinite(scores).any():
@@ -208,17 +222,14 @@ def _rivalry(image: GreyImage, best: Matched, other: Matched) -> float:
 
 def _away_from(track: Track, other: Track) -> NDArray[np.bool_]:
     """Which samples (N,) of a track are more than RIVAL_APART_PX from the other curve, wherever along it."""
-    coarse = other.pixels[::2]
-    nearest = np.full(len(track.pixels), np.inf)
-    for part in np.array_split(coarse, max(1, len(coarse) // 64)):
-        difference = track.pixels[:, None, :] - part[None, :, :]
-        nearest = np.minimum(nearest, np.hypot(difference[..., 0], difference[..., 1]).min(axis=1))
-    result: NDArray[np.bool_] = nearest > RIVAL_APART_PX
-    return result
+    mine, theirs = (pixels[:: max(2, len(pixels) // MOST_COMPARED)] for pixels in (track.pixels, other.pixels))
+    squared = np.sum(mine**2, axis=1)[:, None] + np.sum(theirs**2, axis=1) - 2 * mine @ theirs.T
+    far: NDArray[np.bool_] = squared.min(axis=1) > RIVAL_APART_PX**2
+    return np.repeat(far, max(2, len(track.pixels) // MOST_COMPARED))[: len(track.pixels)]
 
 
 def _response(image: GreyImage, pixels: FloatArray, width: FloatArray) -> FloatArray:
-    """Pair response (N,) along a curve (N, 2) of a wire of that width (N,)."""
+    """Pair response (..., N) along curves (..., N, 2) of a wire of that width (N,)."""
     side = np.maximum(SIDE_OFFSET_PX, 0.5 * width + 1.5)[:, None] * normals(pixels)
     return pair_response(image, pixels, side).astype(np.float64)
 
@@ -260,7 +271,7 @@ def _refine(
     curve = trace(view, float(theta[SAG]), float(theta[SWING]))
     if curve is None:
         return None
-    return Matched(survey, solution, view, curve, observed, _mixed_response(image, view, solution), sight(image, curve))
+    return Matched(survey, solution, view, curve, observed, _mixed_response(image, view, solution))
 
 
 def _mixed_response(image: GreyImage, view: View, solution: Solution) -> float:

@@ -9,16 +9,16 @@ the sky and bright before trees.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import ArrayLike, NDArray
 
 from sagnode.capture.port import GreyImage
 from sagnode.geometry.camera import FloatArray
-from sagnode.match.ribbon import arc_length, lookup
+from sagnode.match.ribbon import arc_length, straighten
 
 AnyGrey = GreyImage | NDArray[np.float32]
 
@@ -32,6 +32,8 @@ FLOOR_GREY = 0.2
 """Structure below this many grey levels is taken for 8-bit rounding: it cannot make a peak."""
 ROUNDING_GREY = 0.15
 """Least noise of a block's mean profile: 8-bit rounding, averaged along the block."""
+BESIDE_SAMPLES = 16
+"""Samples along a block that suffice to see what the surroundings look like."""
 CORRELATED = 2.7
 """Variance factor of the offset for neighbouring samples sharing pixels (bilinear, ½ px apart); see the tests."""
 
@@ -78,6 +80,19 @@ def _erf(x: FloatArray) -> FloatArray:
     return np.asarray(np.sign(x) * (1 - series * np.exp(-x * x)))
 
 
+@dataclass(frozen=True)
+class Beside:
+    """What the same blocks show on the same curve shifted across (S shifts, M blocks).
+
+    Attributes:
+        snr: as in :class:`Blocks` (S, M).
+        inside: which shifted blocks have their centres in the frame (S, M).
+    """
+
+    snr: FloatArray
+    inside: NDArray[np.bool_]
+
+
 def localise(
     image: AnyGrey,
     pixels: FloatArray,
@@ -103,9 +118,29 @@ def localise(
     Returns:
         The blocks; empty arrays for fewer than two samples.
     """
+    return localise_beside(image, pixels, normal, width_px, half_range_px, (), block_px, blur_px, margin_px)[0]
+
+
+def localise_beside(
+    image: AnyGrey,
+    pixels: FloatArray,
+    normal: FloatArray,
+    width_px: ArrayLike,
+    half_range_px: float,
+    shifts_px: Sequence[float],
+    block_px: float = 8.0,
+    blur_px: float = BLUR_PX,
+    margin_px: float = MARGIN_PX,
+) -> tuple[Blocks, Beside]:
+    """Measure the wire's offset as :func:`localise` does, and look likewise about the curve shifted across.
+
+    One ribbon serves all: it is as wide as the farthest shift (``shifts_px``, px along the normal) asks for.
+    """
     if len(pixels) < 2:
         nothing = np.empty(0)
-        return Blocks(nothing, nothing, nothing, nothing, nothing, nothing, nothing, np.empty(0, dtype=bool))
+        empty = np.empty((len(shifts_px), 0))
+        blocks = Blocks(nothing, nothing, nothing, nothing, nothing, nothing, nothing, np.empty(0, dtype=bool))
+        return blocks, Beside(empty, empty.astype(bool))
     arc = arc_length(pixels)
     starts = block_starts(arc, block_px)
     size = np.diff(np.append(starts, len(pixels)))
@@ -113,21 +148,30 @@ def localise(
     width = np.add.reduceat(widths, starts) / size
     near = kernel_reach(float(np.max(width)), blur_px, margin_px)
     far = int(np.ceil(half_range_px / STEP_PX)) + 1
-    profiles, seen = block_profiles(image, pixels, normal, STEP_PX * _steps(far + near), starts)
+    centres = np.rint(np.array([0.0, *shifts_px]) / STEP_PX).astype(np.intp)
+    reach = int(np.max(np.abs(centres))) + far
+    profiles = _profiles(image, pixels, normal, starts, reach + near, far + near)
     kernel = unit_kernels(width, STEP_PX * _steps(near), blur_px)
-    position, sigma, snr, likeness, contrast = _peaks(profiles, kernel)
+    amplitude, energy = compare(profiles, kernel)
+    window = reach + centres[:, None, None] + np.arange(-far, far + 1)
+    row = np.arange(len(starts))[:, None]
+    position, sigma, snr, likeness, contrast = _peaks(amplitude[row, window], energy[row, window], kernel)
     offset = STEP_PX * (position - far)
+    seen = _inside(image, pixels, normal, starts, STEP_PX * (centres[:, None] + np.array([-far - near, far + near])))
     valid = seen & np.isfinite(offset) & (np.abs(offset) <= half_range_px)
-    return Blocks(
+    middle = (starts + size // 2)[:, None]
+    blocks = Blocks(
         index=starts + 0.5 * (size - 1),
         arc=np.add.reduceat(arc, starts) / size,
-        offset=np.where(valid, offset, np.nan),
-        sigma=np.where(valid, sigma, np.nan),
-        snr=np.where(valid, snr, 0.0),
-        correlation=np.where(valid, likeness, 0.0),
-        contrast=np.where(valid, contrast, 0.0),
-        valid=valid,
+        offset=np.where(valid[0], offset[0], np.nan),
+        sigma=np.where(valid[0], sigma[0], np.nan),
+        snr=np.where(valid[0], snr[0], 0.0),
+        correlation=np.where(valid[0], likeness[0], 0.0),
+        contrast=np.where(valid[0], contrast[0], 0.0),
+        valid=valid[0],
     )
+    centred = _inside(image, pixels[middle[:, 0]], normal[middle[:, 0]], np.arange(len(starts)), STEP_PX * centres[1:, None])
+    return blocks, Beside(np.where(valid[1:], snr[1:], 0.0), centred)
 
 
 def _steps(reach: int) -> FloatArray:
@@ -146,37 +190,39 @@ def block_starts(arc: FloatArray, block_px: float) -> NDArray[np.intp]:
     return np.flatnonzero(np.diff(member, prepend=-1))
 
 
-def block_profiles(
-    image: AnyGrey, pixels: FloatArray, normal: FloatArray, offsets: FloatArray, starts: NDArray[np.intp]
-) -> tuple[FloatArray, NDArray[np.bool_]]:
-    """Mean grey profiles of blocks across a curve, and which blocks lie wholly inside the frame.
+def _profiles(
+    image: AnyGrey, pixels: FloatArray, normal: FloatArray, starts: NDArray[np.intp], wide: int, narrow: int
+) -> FloatArray:
+    """Mean grey profiles (M, 2 wide + 1) of blocks across a curve, steps apart.
 
-    Args:
-        image: grey picture (height, width), 8 bit or single precision.
-        pixels: the curve (N, 2).
-        normal: its unit normals (N, 2).
-        offsets: where to sample across it (K,), px, rising.
-        starts: first sample of each block (M,).
-
-    Returns:
-        Profiles (M, K), and a mask (M,).
+    What lies beyond ``narrow`` steps only serves comparison, and is sampled more sparsely along long blocks.
     """
+    every = max(1, len(pixels) // len(starts) // BESIDE_SAMPLES)
+    if wide == narrow or every == 1:
+        return _block_means(straighten(image, pixels, normal, STEP_PX * _steps(wide)), starts)
+    some = slice(None, None, every)
+    profiles = _block_means(
+        straighten(image, pixels[some], normal[some], STEP_PX * _steps(wide)), (starts + every - 1) // every
+    )
+    own = straighten(image, pixels, normal, STEP_PX * _steps(narrow))
+    profiles[:, wide - narrow : wide + narrow + 1] = _block_means(own, starts)
+    return profiles
+
+
+def _block_means(ribbon: NDArray[np.float32], starts: NDArray[np.intp]) -> FloatArray:
+    size = np.diff(np.append(starts, len(ribbon)))
+    return np.asarray(np.add.reduceat(ribbon, starts, axis=0) / size[:, None].astype(np.float64))
+
+
+def _inside(
+    image: AnyGrey, pixels: FloatArray, normal: FloatArray, starts: NDArray[np.intp], offsets: FloatArray
+) -> NDArray[np.bool_]:
+    """Whether blocks lie wholly in the frame at all of several offsets (S, K) across a curve: (S, M)."""
     height, width = image.shape
-    ends = pixels[:, None, :] + offsets[[0, -1], None] * normal[:, None, :]
+    ends = np.stack([starts, np.append(starts[1:], len(pixels)) - 1])
+    place = pixels[ends] + offsets[:, :, None, None, None] * normal[ends]
     with np.errstate(invalid="ignore"):
-        inside = np.asarray(((ends >= 0) & (ends <= (width - 1, height - 1))).all(axis=(1, 2)))
-    seen = np.minimum.reduceat(inside, starts)
-    # in single precision either way: 8-bit interpolation would round a faint wire away
-    if image.dtype == np.float32:
-        across = offsets.astype(np.float32)
-        point, turned = (np.where(inside[:, None], part, 0.0).astype(np.float32) for part in (pixels, normal))
-        maps = [point[:, i : i + 1] + across * turned[:, i : i + 1] for i in (0, 1)]
-        grey = cv2.remap(image, maps[0], maps[1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    else:
-        # only the pixels that are needed, instead of the conversion of a whole frame
-        grey = np.nan_to_num(lookup(image, pixels[:, None, :] + offsets[:, None] * normal[:, None, :]))
-    size = np.diff(np.append(starts, len(pixels)))
-    return np.add.reduceat(grey, starts, axis=0, dtype=np.float64) / size[:, None], seen
+        return np.asarray(((place >= 0) & (place <= (width - 1, height - 1))).all(axis=(1, 2, 4)))
 
 
 def unit_kernels(width: FloatArray, positions: FloatArray, blur_px: float = BLUR_PX) -> FloatArray:
@@ -187,27 +233,32 @@ def unit_kernels(width: FloatArray, positions: FloatArray, blur_px: float = BLUR
 
 
 def _peaks(
-    profiles: FloatArray, kernel: FloatArray
+    amplitude: FloatArray, energy: FloatArray, kernel: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Best position (fractional window number), sigma px, snr, correlation and contrast of each block."""
+    """Best position (fractional window number), sigma px, snr, correlation and contrast (S, M).
+
+    From the amplitude and energy (S, M, K) of the windows about S places of M blocks, with their kernels (M, n).
+    """
     n = kernel.shape[1]
-    amplitude, energy = compare(profiles, kernel)
     score = correlation(amplitude, energy, n)
-    rows = np.arange(len(score))
     # the outermost windows only serve the parabola
-    peak = np.argmax(score[:, 1:-1], axis=1) + 1
-    here, sign = score[rows, peak], np.sign(amplitude[rows, peak])
-    before, after = (np.where(np.sign(amplitude[rows, peak + d]) == sign, score[rows, peak + d], 0.0) for d in (-1, 1))
+    peak = np.argmax(score[..., 1:-1], axis=-1)[..., None] + 1
+
+    def at(values: FloatArray, shift: int = 0) -> FloatArray:
+        return np.asarray(np.take_along_axis(values, peak + shift, axis=-1)[..., 0])
+
+    here, height, sign = at(score), at(amplitude), np.sign(at(amplitude))
+    before, after = (np.where(np.sign(at(amplitude, d)) == sign, at(score, d), 0.0) for d in (-1, 1))
     bend = before - 2 * here + after
     summit = (here >= before) & (here >= after) & (bend < 0)
     with np.errstate(divide="ignore", invalid="ignore"):
-        position = np.where(summit, peak + 0.5 * (before - after) / bend, np.nan)
-    size = np.abs(amplitude[rows, peak])
-    noise = np.sqrt(np.maximum(energy[rows, peak] - size**2, 0.0) / (n - 3) + ROUNDING_GREY**2)
+        position = np.where(summit, peak[..., 0] + 0.5 * (before - after) / bend, np.nan)
+    size = np.abs(height)
+    noise = np.sqrt(np.maximum(at(energy) - size**2, 0.0) / (n - 3) + ROUNDING_GREY**2)
     steepness = np.linalg.norm(np.gradient(kernel, STEP_PX, axis=1), axis=1)
     snr = size / (noise * np.sqrt(CORRELATED))
     sigma = 1 / np.maximum(snr * steepness, 1e-6)
-    return position, sigma, snr, here, sign * size * np.ptp(kernel, axis=1)
+    return position, sigma, snr, here, height * np.ptp(kernel, axis=1)
 
 
 def compare(profiles: FloatArray, kernel: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -217,13 +268,22 @@ def compare(profiles: FloatArray, kernel: FloatArray) -> tuple[FloatArray, Float
         Amplitude (M, K-n+1) of the kernel in each window, signed, and the window's energy without mean and slope.
     """
     n = kernel.shape[1]
-    slope = np.linspace(-1, 1, n)
-    slope /= np.linalg.norm(slope)
-    windows = sliding_window_view(profiles, n, axis=1)
-    amplitude = np.einsum("mkn,mn->mk", windows, kernel)
-    mean = windows.mean(axis=2)
-    energy = np.einsum("mkn,mkn->mk", windows, windows) - n * mean**2 - (windows @ slope) ** 2
+    level = profiles - profiles.mean(axis=1, keepdims=True)
+    amplitude = np.einsum("mkn,mn->mk", sliding_window_view(level, n, axis=1), kernel)
+    # sums over windows are differences of running sums
+    columns = np.arange(profiles.shape[1])
+    total, tilted, squared = (_window_sums(part, n) for part in (level, level * columns, level * level))
+    middle = columns[: total.shape[1]] + 0.5 * (n - 1)
+    steepest = n * (n * n - 1) / 12
+    energy = squared - total**2 / n - (tilted - middle * total) ** 2 / steepest
     return amplitude, np.maximum(energy, 0.0)
+
+
+def _window_sums(values: FloatArray, n: int) -> FloatArray:
+    """Sums (M, K-n+1) over the windows of n columns of values (M, K)."""
+    running = np.zeros((len(values), values.shape[1] + 1))
+    np.cumsum(values, axis=1, out=running[:, 1:])
+    return running[:, n:] - running[:, :-n]
 
 
 def correlation(amplitude: FloatArray, energy: FloatArray, n: int) -> FloatArray:

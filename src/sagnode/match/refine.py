@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from sagnode.capture.port import GreyImage
 from sagnode.geometry.camera import FloatArray
-from sagnode.match.localise import Blocks, localise
-from sagnode.match.ribbon import SIDE_OFFSET_PX, arc_length, lookup, normals, pair_response
-from sagnode.match.templates import View, even_parameters
+from sagnode.match.localise import Beside, Blocks, localise_beside
+from sagnode.match.ribbon import SIDE_OFFSET_PX, arc_length, normals, pair_response
+from sagnode.match.templates import View, visible_part
 
 WINDOW_PX = 24.0
 WINDOW_SHARE = 0.04
@@ -22,6 +22,8 @@ SHIFTS_PX = (16.0, -16.0, 23.0, -23.0, 31.0, -31.0, 11.0, -11.0)
 FALSE_PEAK_POWER = 6.0
 MAX_SAMPLES = 6000
 MIN_LENGTH_PX = 16
+MOST_COMPARED, MOST_SIGHTED = 300, 600
+"""Samples along a curve that suffice to see whether it folds back, and whether it lies on a wire."""
 RANK_MIN = 0.9
 NEIGHBOURS = 3
 """A block counts only if at least this many of the three blocks to either side see the wire where it would run on.
@@ -84,18 +86,15 @@ class Observed:
 
 def trace(view: View, sag: float, swing: float, margin: float = 3.0) -> Track | None:
     """The visible part of a curve, one sample a pixel; None when fewer than two blocks of it are in the frame."""
-    rough = even_parameters(view, sag, swing, 64, margin)
-    if rough.size < 2:
-        return None
-    pixels, _ = view.pixels(sag, swing, rough)
-    length = float(np.nansum(np.hypot(*np.diff(pixels, axis=0).T)))
-    count = min(int(length) + 1, MAX_SAMPLES)
+    arc, at = visible_part(view, sag, swing, margin)
+    count = min(int(arc[-1]) + 1, MAX_SAMPLES) if arc.size else 0
     if count < MIN_LENGTH_PX:
         return None
-    t = even_parameters(view, sag, swing, count, margin)
+    t = np.interp(np.linspace(0.0, arc[-1], count), arc, at)
     pixels, depth = view.pixels(sag, swing, t)
     keep = np.isfinite(pixels).all(axis=1)
-    t, pixels, depth = t[keep], pixels[keep], depth[keep]
+    if not keep.all():
+        t, pixels, depth = t[keep], pixels[keep], depth[keep]
     return Track(t, pixels, normals(pixels), view.width_px(depth), arc_length(pixels))
 
 
@@ -113,8 +112,9 @@ def observe(
         shifts: how many shifted curves a block is ranked against, nearest first.
         run: least number of usable blocks in a row.
     """
-    blocks = localise(image, track.pixels, track.normal, track.width, half_range, block_px)
-    rank, lead = _rank(image, track, blocks, half_range, block_px, SHIFTS_PX[:shifts])
+    away = [np.sign(shift) * (abs(shift) + half_range) for shift in SHIFTS_PX[:shifts]]
+    blocks, beside = localise_beside(image, track.pixels, track.normal, track.width, half_range, away, block_px)
+    rank, lead = _rank(blocks, beside)
     index = np.clip(np.round(blocks.index).astype(np.intp), 0, len(track.t) - 1)
     pixel, normal = track.pixels[index], track.normal[index]
     reach = _reach(track, half_range)
@@ -181,27 +181,17 @@ def _reach(track: Track, half_range: float) -> float:
     return half_range + 3.0 + 0.5 * float(np.median(track.width))
 
 
-def _rank(
-    image: GreyImage, track: Track, blocks: Blocks, half_range: float, block_px: float, shifts: tuple[float, ...]
-) -> tuple[FloatArray, FloatArray]:
+def _rank(blocks: Blocks, beside: Beside) -> tuple[FloatArray, FloatArray]:
     """Share of the shifted curves on which the same place looks less like a wire (M,), and by how much it leads (M,).
 
     A place is a block and its two neighbours: a faint wire goes on through all three, a speck of texture does not. The
     lead is its signal-to-noise ratio over the second best of the shifted curves (the best may be another wire).
     """
-    here = _with_neighbours(blocks)
-    index = np.clip(np.round(blocks.index).astype(np.intp), 0, len(track.t) - 1)
-    beside = np.empty((len(shifts), len(here)))
-    for row, shift in enumerate(shifts):
-        away = np.sign(shift) * (abs(shift) + half_range)
-        aside = localise(image, track.pixels + away * track.normal, track.normal, track.width, half_range, block_px)
-        # the shifted curve is a little longer or shorter, so its blocks are met by their sample, not by their number
-        same = np.abs(aside.index[None, :] - blocks.index[:, None]).argmin(axis=1)
-        # a block that leaves the frame when shifted proves nothing, for or against
-        inside = np.isfinite(lookup(image, track.pixels[index] + away * track.normal[index]))
-        beside[row] = np.where(inside, _with_neighbours(aside)[same], here)
-    rank = np.mean(np.where(beside == here, 0.5, beside < here), axis=0)
-    return rank, here / np.maximum(np.sort(beside, axis=0)[-2], 1.0)
+    here = _with_neighbours(blocks.snr)
+    # a block that leaves the frame when shifted proves nothing, for or against
+    there = np.where(beside.inside, _with_neighbours(beside.snr), here)
+    rank = np.mean(np.where(there == here, 0.5, there < here), axis=0)
+    return rank, here / np.maximum(np.sort(there, axis=0)[-2], 1.0)
 
 
 def _false_peak_sigma(lead: FloatArray, half_range: float) -> FloatArray:
@@ -214,23 +204,27 @@ def _false_peak_sigma(lead: FloatArray, half_range: float) -> FloatArray:
     return np.asarray(half_range * np.sqrt(chance / 3.0))
 
 
-def _with_neighbours(blocks: Blocks) -> FloatArray:
-    """Root mean square signal-to-noise ratio of each block and its two neighbours (M,)."""
-    padded = np.pad(blocks.snr**2, 1, mode="edge")
-    return np.asarray(np.sqrt((padded[:-2] + padded[1:-1] + padded[2:]) / 3))
+def _with_neighbours(snr: FloatArray) -> FloatArray:
+    """Root mean square signal-to-noise ratio (..., M) of each block and its two neighbours."""
+    squared = snr**2
+    total = squared.copy()
+    total[..., 1:] += squared[..., :-1]
+    total[..., :-1] += squared[..., 1:]
+    # the first and the last block are their own neighbours
+    total[..., 0] += squared[..., 0]
+    total[..., -1] += squared[..., -1]
+    return np.asarray(np.sqrt(total / 3))
 
 
 def _folds_back(track: Track, index: NDArray[np.intp], reach: float) -> NDArray[np.bool_]:
     """Which samples (M,) have another stretch of the same curve within reach: its two halves seen along the line."""
-    every = slice(None, None, 4)
+    every = slice(None, None, max(4, len(track.t) // MOST_COMPARED))
     pixels, arc, normal = track.pixels[every], track.arc[every], track.normal[every]
-    difference = pixels[None, :, :] - track.pixels[index][:, None, :]
-    across = np.abs(np.einsum("mki,mi->mk", difference, track.normal[index]))
-    distance = np.hypot(difference[..., 0], difference[..., 1])
+    across, along = _apart(track.pixels[index], track.normal[index], pixels)
+    close = (np.abs(across) < reach) & (across**2 + along**2 < (reach + 12.0) ** 2)
     away = np.abs(arc[None, :] - track.arc[index][:, None])
     turned = track.normal[index] @ normal.T < 0.5
-    elsewhere = (away > 2 * np.pi * reach) | ((away > reach) & turned)
-    result: NDArray[np.bool_] = (elsewhere & (across < reach) & (distance < reach + 12.0)).any(axis=1)
+    result: NDArray[np.bool_] = (close & ((away > 2 * np.pi * reach) | ((away > reach) & turned))).any(axis=1)
     return result
 
 
@@ -239,11 +233,24 @@ def _near(pixel: FloatArray, normal: FloatArray, other: FloatArray, reach: float
     finite = other[np.isfinite(other).all(axis=1)]
     if not len(finite):
         return np.zeros(len(pixel), dtype=bool)
-    difference = finite[None, :, :] - pixel[:, None, :]
-    across = np.einsum("mki,mi->mk", difference, normal)
-    along = difference[..., 0] * normal[:, None, 1] - difference[..., 1] * normal[:, None, 0]
+    # a point every few pixels of it is enough, since 12 px are looked along
+    across, along = _apart(pixel, normal, finite[:: max(1, int(6.0 / max(_spacing(finite), 1e-3)))])
     result: NDArray[np.bool_] = ((np.abs(across) < reach) & (np.abs(along) < 12.0)).any(axis=1)
     return result
+
+
+def _spacing(polyline: FloatArray) -> float:
+    """Largest distance between neighbouring points of a polyline (K, 2), px."""
+    return float(np.sqrt(np.max(np.sum(np.diff(polyline, axis=0) ** 2, axis=1), initial=0.0)))
+
+
+def _apart(pixel: FloatArray, normal: FloatArray, other: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Distances (M, K) of points (K, 2) from others (M, 2), across and along the curve with those normals (M, 2)."""
+    tangent = np.stack([normal[:, 1], -normal[:, 0]], axis=1)
+    across, along = (
+        axis @ other.T - np.sum(axis * pixel, axis=1, keepdims=True) for axis in (normal, tangent)
+    )
+    return across, along
 
 
 @dataclass(frozen=True)
@@ -261,24 +268,27 @@ class Sighting:
 
 def sight(image: GreyImage, track: Track) -> Sighting:
     """Shifted-curve test of a whole track, and of windows along it."""
+    every = -(-len(track.t) // MOST_SIGHTED)
+    some = slice(None, None, every)
+    t, arc = track.t[some], track.arc[some]
     shifts = np.concatenate([[0.0], np.arange(8.0, 41.0, 2.0), -np.arange(8.0, 41.0, 2.0)])
-    centre = track.pixels[None] + shifts[:, None, None] * track.normal[None]
-    side = np.maximum(SIDE_OFFSET_PX, 0.5 * track.width + 1.5)[:, None] * track.normal
+    centre = track.pixels[some] + shifts[:, None, None] * track.normal[some]
+    side = np.maximum(SIDE_OFFSET_PX, 0.5 * track.width[some] + 1.5)[:, None] * track.normal[some]
     response = pair_response(image, centre, np.broadcast_to(side, centre.shape))
+    score = 0.0
     whole = _means(response)
     background = whole[1:][np.isfinite(whole[1:])]
-    score = 0.0
     if len(background) >= 6 and np.isfinite(whole[0]):
         middle = np.median(background)
         spread = 1.4826 * np.median(np.abs(background - middle))
         score = float((whole[0] - middle) / max(float(spread), 0.05))
-    seen = np.zeros(len(track.t), dtype=bool)
-    for window in _windows(track):
+    seen = np.zeros(len(t), dtype=bool)
+    for window in _windows(t, arc):
         means = _means(response[:, window])
         beside = means[1:][np.isfinite(means[1:])]
         if len(beside) >= 6 and np.isfinite(means[0]):
             seen[window] = np.mean(means[0] > beside) >= WINDOW_RANK
-    return Sighting(score, seen)
+    return Sighting(score, np.repeat(seen, every)[: len(track.t)])
 
 
 def _means(response: NDArray[np.float32]) -> FloatArray:
@@ -289,15 +299,19 @@ def _means(response: NDArray[np.float32]) -> FloatArray:
     return np.where(count > 0.5 * response.shape[1], total / np.maximum(count, 1), np.nan)
 
 
-def _windows(track: Track) -> list[slice]:
-    """Stretches of at least WINDOW_PX in the picture and WINDOW_SHARE of the span, covering the track."""
+def _windows(t: FloatArray, arc: FloatArray) -> list[slice]:
+    """Stretches of at least WINDOW_PX in the picture and WINDOW_SHARE of the span, covering all samples."""
     windows, start = [], 0
-    for end in range(1, len(track.t) + 1):
-        long_enough = track.arc[end - 1] - track.arc[start] >= WINDOW_PX
-        if long_enough and abs(track.t[end - 1] - track.t[start]) >= WINDOW_SHARE:
-            windows.append(slice(start, end))
-            start = end
-    if windows and start < len(track.t):
+    extent = np.abs(t - t[0])
+    while start < len(t):
+        long_enough = (arc >= arc[start] + WINDOW_PX) & (np.abs(extent - extent[start]) >= WINDOW_SHARE)
+        long_enough[: start + 1] = False
+        if not long_enough.any():
+            break
+        end = int(np.argmax(long_enough)) + 1
+        windows.append(slice(start, end))
+        start = end
+    if windows and start < len(t):
         # a remainder too short to be judged by itself is judged with the stretch before it
-        windows[-1] = slice(windows[-1].start, len(track.t))
-    return windows or [slice(0, len(track.t))]
+        windows[-1] = slice(windows[-1].start, len(t))
+    return windows or [slice(0, len(t))]

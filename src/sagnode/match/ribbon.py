@@ -20,6 +20,8 @@ SIDE_OFFSET_PX = 2.5
 RESPONSE_CLIP = 24.0
 """Grey levels above which one sample counts no more: strong edges of towers and clouds must not outvote a thin wire."""
 
+PIECE = 256
+"""Samples along a ribbon whose surroundings are made single precision at once: small enough for the cache."""
 NO_BAND = np.zeros((1, 1), dtype=np.float32)
 Singles = NDArray[np.float32]
 
@@ -39,25 +41,36 @@ def arc_length(pixels: FloatArray) -> FloatArray:
     return np.concatenate([[0.0], np.cumsum(steps)])
 
 
-def lookup(image: GreyImage | NDArray[np.float32], pixels: FloatArray) -> NDArray[np.float32]:
-    """Bilinear grey values (...) at pixels (..., 2); NaN outside the frame or at NaN pixels."""
-    height, width = image.shape
-    u, v = pixels[..., 0], pixels[..., 1]
-    with np.errstate(invalid="ignore"):
-        inside = (u >= 0) & (v >= 0) & (u <= width - 1) & (v <= height - 1)
-    u = np.where(inside, u, 0.0)
-    v = np.where(inside, v, 0.0)
-    u0 = np.minimum(u.astype(np.intp), width - 2)
-    v0 = np.minimum(v.astype(np.intp), height - 2)
-    fu = (u - u0).astype(np.float32)
-    fv = (v - v0).astype(np.float32)
-    flat = image.reshape(-1)
-    first = v0 * width + u0
-    top = flat[first] * (1 - fu) + flat[first + 1] * fu
-    bottom = flat[first + width] * (1 - fu) + flat[first + width + 1] * fu
-    values = top * (1 - fv) + bottom * fv
-    values[~inside] = np.nan
-    return np.asarray(values, dtype=np.float32)
+def straighten(
+    image: GreyImage | Singles, pixels: FloatArray, normal: FloatArray, offsets: FloatArray
+) -> Singles:
+    """The ribbon (N, K) of bilinear grey values at ``offsets`` (K,) px, rising, across a polyline (N, 2).
+
+    Values are not rounded to whole grey levels, which would round a faint wire away; beyond the frame its edge goes on.
+    An 8-bit frame is made single precision piece by piece along the polyline, only where the ribbon lies.
+    """
+    across = offsets.astype(np.float32)
+    ribbon = np.empty((len(pixels), len(offsets)), dtype=np.float32)
+    whole = image.dtype == np.float32
+    piece = len(pixels) if whole else PIECE
+    for start in range(0, len(pixels), max(piece, 1)):
+        rows = slice(start, start + piece)
+        point, turned = pixels[rows], normal[rows]
+        origin = np.zeros(2)
+        part = image
+        if not whole:
+            ends = np.concatenate([point + offsets[0] * turned, point + offsets[-1] * turned])
+            size = np.array(image.shape[::-1])
+            origin = np.clip(np.floor(ends.min(axis=0)), 0, size - 2)
+            left, top = origin.astype(int)
+            right, bottom = np.clip(np.ceil(ends.max(axis=0)) + 2, origin + 2, size).astype(int)
+            part = image[top:bottom, left:right].astype(np.float32)
+        u, v = ((point[:, i : i + 1] - origin[i]).astype(np.float32) for i in (0, 1))
+        nu, nv = (turned[:, i : i + 1].astype(np.float32) for i in (0, 1))
+        ribbon[rows] = cv2.remap(
+            part, u + across * nu, v + across * nv, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+        )
+    return ribbon
 
 
 def pair_response(image: GreyImage, centre: FloatArray, side: FloatArray) -> NDArray[np.float32]:

@@ -35,6 +35,14 @@ SPREAD_PX = 4.0
 SWING_PRIOR = 0.3
 """Grey levels of mean response that one half-squared standard deviation of swing must earn."""
 
+LEAST_SEEN = 0.2
+"""Share of what the best seen curve shows in the frame that a curve must show."""
+POLISHED = 8
+"""Most peaks of the grid that are looked at more closely."""
+POLISH = (1.0, 0.4)
+"""How far about a peak to look at a time, in steps of the grid."""
+DISTINCT_PX = 1.5
+"""Typical distance, in px and bands, below which two curves are one."""
 NEAREST_M = 1e-3
 OUTSIDE_PX = -1e4
 """Where points that the camera cannot see are put."""
@@ -86,7 +94,7 @@ def search(
     if not sag_steps.any():
         return []
     family = _Family.of(view, sag_range, t)
-    stretches = []
+    grids = []
     for part in np.array_split(np.arange(len(t)), GROUPS):
         n_sag, n_swing = float(sag_steps[part].max()), float(swing_steps[part].max())
         excess = max(1.0, (n_sag + 1) * (n_swing + 1) / MAX_TEMPLATES)
@@ -95,22 +103,77 @@ def search(
         swings = np.linspace(-swing_max, swing_max, 2 * int(np.ceil(0.5 * n_swing / coarser)) + 1)
         swings = swings if len(swings) > 1 else np.zeros(1)
         grown = np.maximum(spread[part], 0.5 * step[part] * coarser if coarser > 1 else 0.0)
-        total, count = _stretch(image, view, family, sags, swings, part, grown)
-        stretches.append((sags, swings, total, count))
-    sags = max((s[0] for s in stretches), key=len)
-    swings = max((s[1] for s in stretches), key=len)
-    total = np.zeros((len(sags), len(swings)))
-    count = np.zeros_like(total)
-    for own_sags, own_swings, own_total, own_count in stretches:
+        grids.append((sags, swings, *_sums(image, view, family, sags[:, None], swings[None, :], part, grown)))
+    sags = max((grid[0] for grid in grids), key=len)
+    swings = max((grid[1] for grid in grids), key=len)
+    total, count = np.zeros((2, len(sags), len(swings)))
+    for own_sags, own_swings, own_total, own_count in grids:
         to_sag, to_swing = _interpolation(own_sags, sags), _interpolation(own_swings, swings)
         total += to_sag @ own_total @ to_swing.T
         count += to_sag @ own_count @ to_swing.T
-    scores = total / np.maximum(count, 1e-6)
-    visible = count / max(float(np.sum(_trust(spread))), 1e-6)
+    everything = max(float(np.sum(_trust(spread))), 1e-6)
+    scores, visible = total / np.maximum(count, 1e-6), count / everything
     # the prior on swing decides where the view hardly sees it, and keeps clutter at extreme swings in its place
     prior = SWING_PRIOR * 0.5 * (swings / swing_u) ** 2
-    ranked = np.where(visible >= 0.2 * visible.max(initial=0.0), scores - prior[None, :], -np.inf)
-    return _peaks(ranked, scores, visible, sags, swings, keep)
+    found = _peaks(np.where(visible >= LEAST_SEEN * visible.max(initial=0.0), scores - prior, -np.inf), POLISHED)
+    if not len(found):
+        return []
+    best_sags, best_swings = sags[found[:, 0]], swings[found[:, 1]]
+    cell = np.array([np.diff(sags[:2]).item(), np.diff(swings[:2]).item() if len(swings) > 1 else 0.0])
+    for width in POLISH:
+        best_sags, best_swings, score, share = _polished(
+            image, view, family, spread, (best_sags, best_swings), width * cell, sag_range, swing_max, swing_u
+        )
+    order = np.argsort(SWING_PRIOR * 0.5 * (best_swings / swing_u) ** 2 - score)
+    candidates = []
+    for k in order[_distinct(view, family, spread, best_sags[order], best_swings[order])][:keep]:
+        own = (float(value[k]) for value in (best_sags, best_swings, score, share / everything))
+        candidates.append(Candidate(*own))
+    return candidates
+
+
+def _polished(
+    image: GreyImage,
+    view: View,
+    family: _Family,
+    spread: FloatArray,
+    start: tuple[FloatArray, FloatArray],
+    reach: FloatArray,
+    sag_range: tuple[float, float],
+    swing_max: float,
+    swing_u: float,
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """The best of the curves about each of some (K,): their sags, swings, scores and weights in the frame (K,).
+
+    ``reach`` is how far to look in sag (m) and swing (rad).
+    """
+    steps = np.linspace(-1.0, 1.0, 5)
+    aside = steps if reach[1] > 0 else np.zeros(1)
+    by_sag, by_swing = (axis.ravel() for axis in np.meshgrid(steps * reach[0], aside * reach[1], indexing="ij"))
+    sags = np.clip(start[0][:, None] + by_sag, *sag_range)
+    swings = np.clip(start[1][:, None] + by_swing, -swing_max, swing_max)
+    total, count = _sums(image, view, family, sags.ravel(), swings.ravel(), np.arange(len(spread)), spread)
+    score = (total / np.maximum(count, 1e-6)).reshape(sags.shape)
+    ranked = score - SWING_PRIOR * 0.5 * (swings / swing_u) ** 2
+    best = np.argmax(ranked, axis=1)[:, None]
+    parts = (sags, swings, score, count.reshape(sags.shape))
+    polished = [np.take_along_axis(part, best, axis=1)[:, 0] for part in parts]
+    return polished[0], polished[1], polished[2], polished[3]
+
+
+def _distinct(view: View, family: _Family, spread: FloatArray, sags: FloatArray, swings: FloatArray) -> NDArray[np.intp]:
+    """Which of some curves (K,), the best first, are not one that came before them."""
+    every = np.arange(len(spread))
+    u, v, _ = _project(view, *family.points(every, sags, swings))
+    pixels = np.stack([u, v], axis=-1).astype(np.float64)
+    normal = normals(pixels.transpose(1, 0, 2)).transpose(1, 0, 2)
+    kept: list[int] = []
+    for k in range(len(sags)):
+        across = np.sum((pixels[:, kept] - pixels[:, k : k + 1]) * normal[:, k : k + 1], axis=-1)
+        apart = across / (1 + np.minimum(spread, POOL_PX))[:, None]
+        if not kept or float(np.min(np.sqrt(np.nanmean(apart**2, axis=0)))) > DISTINCT_PX:
+            kept.append(k)
+    return np.array(kept, dtype=np.intp)
 
 
 def _movements(
@@ -182,15 +245,18 @@ class _Family:
         return cls(*(part.astype(np.float32) for part in parts))
 
     def points(self, part: NDArray[np.intp], sags: FloatArray, swings: FloatArray) -> list[FloatGrid]:
-        """Coordinates x, y, z (n, S, W) of some samples (n,) in the camera's frame, m."""
-        sag = sags.astype(np.float32)
-        profile = sag * (self.slope[part, None] + self.bend[part, None] * sag**2)
-        turn = np.stack([np.ones_like(swings), np.cos(swings), np.sin(swings)], axis=1).astype(np.float32)
-        direction = turn @ self.turn
-        return [self.chord[part, i, None, None] + profile[:, :, None] * direction[:, i] for i in range(3)]
+        """Coordinates x, y, z (n, ...) of some samples (n,) in the camera's frame, m; sags and swings broadcast."""
+        sag, turned = sags.astype(np.float32), (np.cos(swings), np.sin(swings))
+        cosine, sine = (value.astype(np.float32) for value in turned)
+        slope, bend, *chord = (
+            column[part].reshape(-1, *(1,) * sags.ndim) for column in (self.slope, self.bend, *self.chord.T)
+        )
+        profile = sag * (slope + bend * sag**2)
+        constant, by_cosine, by_sine = self.turn
+        return [chord[i] + profile * (constant[i] + by_cosine[i] * cosine + by_sine[i] * sine) for i in range(3)]
 
 
-def _stretch(
+def _sums(
     image: GreyImage,
     view: View,
     family: _Family,
@@ -199,14 +265,14 @@ def _stretch(
     part: NDArray[np.intp],
     spread: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
-    """Sums (S, W) of the responses of one stretch's samples, and of the weights of those in the frame.
+    """Sums (...) of the responses of one stretch's samples, and of the weights of those in the frame.
 
     Args:
         image: raw grey frame.
         view: the conductor as the camera sees it.
         family: its curves.
-        sags: grid of sags (S,), m.
-        swings: grid of swings (W,), rad.
+        sags: of the curves to compare, m; broadcasts with
+        swings: of the same, rad.
         part: which samples of the family belong to the stretch (n,), without a gap.
         spread: how uncertain the place of each of them is (n,), px.
     """
@@ -219,7 +285,7 @@ def _stretch(
     half = np.float32(0.5 * view.diameter * view.intrinsics.fx) / depth[inner] + np.float32(1.5)
     pool = np.minimum(spread, POOL_PX)
     band = BANDS[np.searchsorted(BAND_LIMITS_PX, float(pool.max()))]
-    rows, shape = (len(part), -1), (len(sags), len(swings))
+    rows, shape = (len(part), -1), u.shape[1:]
     response, seen = pooled_response(
         image,
         (u[inner].reshape(rows), v[inner].reshape(rows)),
@@ -264,16 +330,14 @@ def _along(values: FloatGrid) -> FloatGrid:
     return difference
 
 
-def _peaks(
-    ranked: FloatArray, scores: FloatArray, visible: FloatArray, sags: FloatArray, swings: FloatArray, keep: int
-) -> list[Candidate]:
-    """Local maxima of the ranked grid, non-maxima within two steps suppressed."""
+def _peaks(ranked: FloatArray, keep: int) -> NDArray[np.intp]:
+    """Places (K, 2) of the local maxima of a grid, best first, non-maxima within two steps suppressed."""
     left = ranked.copy()
-    found: list[Candidate] = []
+    found: list[tuple[int, int]] = []
     for _ in range(keep):
-        i, j = np.unravel_index(int(np.argmax(left)), left.shape)
+        i, j = divmod(int(np.argmax(left)), left.shape[1])
         if not np.isfinite(left[i, j]):
             break
-        found.append(Candidate(float(sags[i]), float(swings[j]), float(scores[i, j]), float(visible[i, j])))
+        found.append((i, j))
         left[max(0, i - 2) : i + 3, max(0, j - 2) : j + 3] = -np.inf
-    return found
+    return np.array(found, dtype=np.intp).reshape(-1, 2)

@@ -11,12 +11,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sagnode.geometry.camera import FloatArray, Intrinsics, Pose, inside, project
+from sagnode.geometry.camera import FloatArray, Intrinsics, Pose, project
 from sagnode.geometry.conductor import conductor_points, control_points
 
 SAMPLES = 128
 STEP_PX = 1.6
 """Largest movement of any visible point of the curve from one template to the next; a wire's response is ±1 px wide."""
+
+NODES = 160
+NEAREST_SHARE = 0.005
+"""Depth nearer than which a curve is not followed closely, as a share of its greatest depth."""
 
 
 @dataclass(frozen=True)
@@ -62,21 +66,48 @@ def even_parameters(
     ``span_share`` of the spacing is even along the span instead: in a view along the line the near metres take most of
     the picture and the far half of the span a few pixels. Fewer than two parameters come back when nothing is visible.
     """
-    # uneven start: in a view along the line the near metres take most of the picture
-    t = np.concatenate([np.linspace(0.0, 0.2, 800, endpoint=False), np.linspace(0.2, 1.0, 800)])
+    arc, t = visible_part(view, sag, swing, margin)
+    if not arc.size:
+        return np.empty(0)
+    along = np.concatenate([[0.0], np.cumsum(np.where(np.diff(arc) > 0, np.diff(t), 0.0))])
+    share = (1 - span_share) * arc / arc[-1] + span_share * along / along[-1]
+    return np.asarray(np.interp(np.linspace(0.0, 1.0, count), share, t))
+
+
+def visible_part(view: View, sag: float, swing: float, margin: float = 3.0) -> tuple[FloatArray, FloatArray]:
+    """Length along the visible part of a curve (K,), px, and the curve parameters there (K,), both rising.
+
+    Hidden stretches have no length, so that two parameters share one. Empty where nothing is visible.
+    """
+    t = _nodes(view)
     pixels, _ = view.pixels(sag, swing, t)
-    seen = inside(view.intrinsics, pixels, margin)
-    if np.count_nonzero(seen) < 2:
-        return np.empty(0)
-    both = seen[1:] & seen[:-1]
-    step = np.where(both, np.hypot(*np.diff(np.nan_to_num(pixels), axis=0).T), 0.0)
-    if not step.any():
-        return np.empty(0)
-    along = np.where(both, np.diff(t), 0.0)
-    step = (1 - span_share) * step / step.sum() + span_share * along / along.sum()
-    arc = np.concatenate([[0.0], np.cumsum(step)])
-    wanted = np.linspace(0.0, arc[-1], count)
-    # arc is flat where the curve is hidden: keep the ends of its rising stretches
-    rising = np.diff(arc) > 0
-    ends = np.concatenate([rising, [False]]) | np.concatenate([[False], rising])
-    return np.asarray(np.interp(wanted, arc[ends], t[ends]))
+    first, step = pixels[:-1], np.diff(pixels, axis=0)
+    corner = np.array([view.intrinsics.width - 1.0, view.intrinsics.height - 1.0]) - margin
+    # each piece between two nodes is clipped to the frame (Liang and Barsky)
+    slope = np.where(np.abs(step) < 1e-9, 1e-9, step)
+    with np.errstate(invalid="ignore"):
+        ends = np.stack([(margin - first) / slope, (corner - first) / slope])
+        enter = np.clip(np.min(ends, axis=0).max(axis=1), 0.0, 1.0)
+        leave = np.clip(np.max(ends, axis=0).min(axis=1), 0.0, 1.0)
+        length = np.nan_to_num((leave - enter) * np.hypot(step[:, 0], step[:, 1]))
+    seen = length > 0
+    if not seen.any():
+        return np.empty(0), np.empty(0)
+    arc = np.concatenate([[0.0], np.cumsum(length[seen])])
+    start, stretch = t[:-1][seen], np.diff(t)[seen]
+    both = np.stack([start + enter[seen] * stretch, start + leave[seen] * stretch], axis=1)
+    return np.stack([arc[:-1], arc[1:]], axis=1).ravel(), both.ravel()
+
+
+def _nodes(view: View) -> FloatArray:
+    """Curve parameters dense enough to follow a curve in the picture: even along the span, and even in 1/depth.
+
+    In a view along the line the near metres take most of the picture, in proportion to 1/depth.
+    """
+    near, far = (float((end - view.pose.position) @ view.pose.rotation[2]) for end in (view.near, view.far))
+    even = np.linspace(0.0, 1.0, NODES)
+    least = NEAREST_SHARE * max(near, far)
+    if least <= 0 or min(near, far) > 0.5 * max(near, far):
+        return even
+    inverse = np.linspace(1 / max(near, least), 1 / max(far, least), NODES)
+    return np.unique(np.concatenate([even, np.clip((1 / inverse - near) / (far - near), 0.0, 1.0)]))
