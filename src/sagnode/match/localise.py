@@ -157,9 +157,10 @@ def localise_beside(
     row = np.arange(len(starts))[:, None]
     position, sigma, snr, likeness, contrast = _peaks(amplitude[row, window], energy[row, window], kernel)
     offset = STEP_PX * (position - far)
-    seen = _inside(image, pixels, normal, starts, STEP_PX * (centres[:, None] + np.array([-far - near, far + near])))
+    ends = np.asarray(STEP_PX * (centres[:, None] + np.array([-far - near, far + near])), dtype=np.float64)
+    seen = _inside(image, pixels, normal, starts, ends)
     valid = seen & np.isfinite(offset) & (np.abs(offset) <= half_range_px)
-    middle = (starts + size // 2)[:, None]
+    middle = starts + size // 2
     blocks = Blocks(
         index=starts + 0.5 * (size - 1),
         arc=np.add.reduceat(arc, starts) / size,
@@ -170,7 +171,8 @@ def localise_beside(
         contrast=np.where(valid[0], contrast[0], 0.0),
         valid=valid[0],
     )
-    centred = _inside(image, pixels[middle[:, 0]], normal[middle[:, 0]], np.arange(len(starts)), STEP_PX * centres[1:, None])
+    shifted = np.asarray(STEP_PX * centres[1:, None], dtype=np.float64)
+    centred = _inside(image, pixels[middle], normal[middle], np.arange(len(starts)), shifted)
     return blocks, Beside(np.where(valid[1:], snr[1:], 0.0), centred)
 
 

@@ -224,8 +224,8 @@ def _folds_back(track: Track, index: NDArray[np.intp], reach: float) -> NDArray[
     close = (np.abs(across) < reach) & (across**2 + along**2 < (reach + 12.0) ** 2)
     away = np.abs(arc[None, :] - track.arc[index][:, None])
     turned = track.normal[index] @ normal.T < 0.5
-    result: NDArray[np.bool_] = (close & ((away > 2 * np.pi * reach) | ((away > reach) & turned))).any(axis=1)
-    return result
+    elsewhere = (away > 2 * np.pi * reach) | ((away > reach) & turned)
+    return np.asarray((close & elsewhere).any(axis=1))
 
 
 def _near(pixel: FloatArray, normal: FloatArray, other: FloatArray, reach: float) -> NDArray[np.bool_]:
@@ -235,8 +235,7 @@ def _near(pixel: FloatArray, normal: FloatArray, other: FloatArray, reach: float
         return np.zeros(len(pixel), dtype=bool)
     # a point every few pixels of it is enough, since 12 px are looked along
     across, along = _apart(pixel, normal, finite[:: max(1, int(6.0 / max(_spacing(finite), 1e-3)))])
-    result: NDArray[np.bool_] = ((np.abs(across) < reach) & (np.abs(along) < 12.0)).any(axis=1)
-    return result
+    return np.asarray(((np.abs(across) < reach) & (np.abs(along) < 12.0)).any(axis=1))
 
 
 def _spacing(polyline: FloatArray) -> float:
@@ -247,9 +246,7 @@ def _spacing(polyline: FloatArray) -> float:
 def _apart(pixel: FloatArray, normal: FloatArray, other: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Distances (M, K) of points (K, 2) from others (M, 2), across and along the curve with those normals (M, 2)."""
     tangent = np.stack([normal[:, 1], -normal[:, 0]], axis=1)
-    across, along = (
-        axis @ other.T - np.sum(axis * pixel, axis=1, keepdims=True) for axis in (normal, tangent)
-    )
+    across, along = (axis @ other.T - np.sum(axis * pixel, axis=1, keepdims=True) for axis in (normal, tangent))
     return across, along
 
 

@@ -41,9 +41,7 @@ def arc_length(pixels: FloatArray) -> FloatArray:
     return np.concatenate([[0.0], np.cumsum(steps)])
 
 
-def straighten(
-    image: GreyImage | Singles, pixels: FloatArray, normal: FloatArray, offsets: FloatArray
-) -> Singles:
+def straighten(image: GreyImage | Singles, pixels: FloatArray, normal: FloatArray, offsets: FloatArray) -> Singles:
     """The ribbon (N, K) of bilinear grey values at ``offsets`` (K,) px, rising, across a polyline (N, 2).
 
     Values are not rounded to whole grey levels, which would round a faint wire away; beyond the frame its edge goes on.
@@ -118,7 +116,7 @@ def pooled_response(
                 seen &= (p >= reach) & (p + reach <= end - 1)
     side_u, side_v = side * nu, side * nv
     x, y = np.empty_like(u), np.empty_like(v)
-    best: NDArray[np.int16] | None = None
+    best = np.full(u.shape, -RESPONSE_CLIP, dtype=np.int16)
     for shift in band:
         base_u, base_v = (u, v) if not shift.any() else (u + shift[:, None] * nu, v + shift[:, None] * nv)
         centre = _grey(image, base_u, base_v)
@@ -127,13 +125,13 @@ def pooled_response(
         dark = cv2.subtract(cv2.min(left, right), centre, dtype=cv2.CV_16S)
         bright = cv2.subtract(centre, cv2.max(left, right), dtype=cv2.CV_16S)
         response = cv2.max(dark, bright)
-        best = response if best is None else cv2.max(best, response)
-    return np.clip(best, -int(RESPONSE_CLIP), int(RESPONSE_CLIP)), seen
+        np.maximum(best, response, out=best)
+    return np.minimum(best, np.int16(RESPONSE_CLIP)), seen
 
 
 def _grey(image: GreyImage, u: Singles, v: Singles) -> GreyImage:
     """Bilinear grey values (M, N), rounded; the frame's edge goes on beyond it."""
-    return cv2.remap(image, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    return np.asarray(cv2.remap(image, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE), dtype=np.uint8)
 
 
 def _within(values: Singles, low: float, high: float) -> bool:

@@ -1,13 +1,15 @@
 """Coarse search: which sag and swing put a conductor's curve on something like a wire.
 
-Every sample of the curve moves at its own pace: seen along the line, one near the camera crosses a hundred pixels while
-one at the far end crosses ten. So each stretch of the curve is compared with the picture on a grid of sag × swing of its
-own, just fine enough for it, and the stretches' scores are interpolated onto one common grid and added there.
+Every sample of the curve moves at its own pace: seen along the line, one near the camera crosses a hundred pixels
+while one at the far end crosses ten. So each stretch of the curve is compared with the picture on a grid of sag × swing
+of its own, just fine enough for it; the stretches' scores are interpolated onto one common grid and added there. The
+best curves are then moved a little to where they lie best, so that those which mean the same wire become one.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,7 +49,8 @@ NEAREST_M = 1e-3
 OUTSIDE_PX = -1e4
 """Where points that the camera cannot see are put."""
 
-FloatGrid = NDArray[np.float32]
+Grid = NDArray[Any]
+"""Of single precision: a picture needs no more."""
 
 
 @dataclass(frozen=True)
@@ -161,7 +164,9 @@ def _polished(
     return polished[0], polished[1], polished[2], polished[3]
 
 
-def _distinct(view: View, family: _Family, spread: FloatArray, sags: FloatArray, swings: FloatArray) -> NDArray[np.intp]:
+def _distinct(
+    view: View, family: _Family, spread: FloatArray, sags: FloatArray, swings: FloatArray
+) -> NDArray[np.intp]:
     """Which of some curves (K,), the best first, are not one that came before them."""
     every = np.arange(len(spread))
     u, v, _ = _project(view, *family.points(every, sags, swings))
@@ -176,9 +181,7 @@ def _distinct(view: View, family: _Family, spread: FloatArray, sags: FloatArray,
     return np.array(kept, dtype=np.intp)
 
 
-def _movements(
-    view: View, sag: float, t: FloatArray, attachment_u: float
-) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _movements(view: View, sag: float, t: FloatArray, attachment_u: float) -> tuple[FloatArray, FloatArray, FloatArray]:
     """What moves each sample (N,) across the curve, at that sag and no swing.
 
     Returns:
@@ -221,13 +224,13 @@ class _Family:
     A catenary's profile over its sag is even in the sag, so two sags tell the others to a millimetre.
     """
 
-    chord: FloatGrid
+    chord: Grid
     """Samples of the chord (N, 3), m."""
-    slope: FloatGrid
+    slope: Grid
     """Profile per metre of sag for no sag (N,)."""
-    bend: FloatGrid
+    bend: Grid
     """What the square of the sag adds to that (N,)."""
-    turn: FloatGrid
+    turn: Grid
     """Direction of gravity as constant, by cosine and by sine of the swing (3, 3)."""
 
     @classmethod
@@ -244,7 +247,7 @@ class _Family:
         parts = (chord, low - bend * ends[0] ** 2, bend, turn)
         return cls(*(part.astype(np.float32) for part in parts))
 
-    def points(self, part: NDArray[np.intp], sags: FloatArray, swings: FloatArray) -> list[FloatGrid]:
+    def points(self, part: NDArray[np.intp], sags: FloatArray, swings: FloatArray) -> list[Grid]:
         """Coordinates x, y, z (n, ...) of some samples (n,) in the camera's frame, m; sags and swings broadcast."""
         sag, turned = sags.astype(np.float32), (np.cos(swings), np.sin(swings))
         cosine, sine = (value.astype(np.float32) for value in turned)
@@ -301,7 +304,7 @@ def _sums(
     return total.reshape(shape).astype(np.float64), count.reshape(shape).astype(np.float64)
 
 
-def _project(view: View, x: FloatGrid, y: FloatGrid, z: FloatGrid) -> tuple[FloatGrid, FloatGrid, FloatGrid]:
+def _project(view: View, x: Grid, y: Grid, z: Grid) -> tuple[Grid, Grid, Grid]:
     """Pixels u, v and depth of points of the camera frame, single precision; far outside where it is not ahead."""
     lens = view.intrinsics
     ahead = z > NEAREST_M
@@ -321,7 +324,7 @@ def _project(view: View, x: FloatGrid, y: FloatGrid, z: FloatGrid) -> tuple[Floa
     return u, v, depth
 
 
-def _along(values: FloatGrid) -> FloatGrid:
+def _along(values: Grid) -> Grid:
     """Differences of neighbours along the first axis: central ones, one-sided at the ends."""
     difference = np.empty_like(values)
     np.subtract(values[2:], values[:-2], out=difference[1:-1])
