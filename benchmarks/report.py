@@ -1,192 +1,248 @@
-"""The report: Markdown tables and a plot."""
+"""The report: Markdown tables of every group, and what of the targets they meet."""
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Sequence
-from pathlib import Path
 
-import matplotlib as mpl
-import numpy as np
+from draws import NEGATIVES
+from groups import GROUPS
+from tally import (
+    OWN,
+    UNITS,
+    Outcome,
+    Row,
+    answers,
+    changes,
+    coverage_by_chance,
+    statistics,
+    stems_of,
+)
+from verdict import verdicts
 
-from demo_day import PAPER_EVERY
-from paper import TIMED_TEMPLATES, Timing
-from sagnode.quality import Validity
-from tally import HEADER, Outcome, statistics, stems_of, table_line
-from worlds import GROUPS, NEGATIVES
+NAMES = [group.name for group in GROUPS]
+HEADER = (
+    "| group | n | RMSE | bias | RMSE / limit | 95 % holds | half-width | half-width / 2 limits | worst error / u |\n"
+    "|---|---|---|---|---|---|---|---|---|"
+)
+IN_METRES = {"lowest_along", "clearance_along", "catenary_constant"}
+"""Lengths too large for centimetres."""
+RELATIVE = {
+    "sag",
+    "inplane_sag",
+    "drop",
+    "clearance",
+    "midspan_sag",
+    "midspan_clearance",
+    "catenary_constant",
+    "tension",
+}
+"""Quantities of which a per cent means something."""
+PREAMBLE = """\
+Each group draws its worlds anew: the true span, lens and landmarks differ from the survey by errors of the standard
+uncertainties that the survey states, the landmarks are clicked with the stated error, and sag, swing, light, clouds,
+haze, sharpness and the camera's sway are drawn too; the group says what is special. What stands in the frames is exact:
+catenaries, pieces of catenaries where the load is uneven, and projection through the true lens.
 
-SHOWN = ("sag", "lowest_height", "clearance")
-OWN = "rational-bezier"
+- **n**: readings with a number, good and questionable. **RMSE**, **bias**: of estimate minus truth.
+- **limit**: the smallest standard uncertainty that a reader of that very frame can have: survey and clicks as they are,
+  the whole visible wire at its true place, white pixel noise and nothing else (`benchmarks/limit.py`). **RMSE / limit**
+  is the root mean square of each error over the limit of its own frame.
+- **95 % holds**: how often the stated interval holds the truth; ± is what chance moves a true 95 %, one draw a world,
+  since the conductors of one world share its camera.
+- **due**: half of the span in the picture, hidden by nothing, with a contrast of three times the noise of a pixel, by
+  day, the camera within the movement that the survey allows. **missed**: due and yet invalid.
+- **false**: a number where there is nothing to be seen, or a sag or clearance off by more than 5 of its own u."""
 
 
-def demo_section(own: Sequence[Outcome], paper: Sequence[Outcome], timing: Sequence[Timing]) -> str:
-    """The demonstration's day."""
-    lines = ["## The demonstration's day", ""]
-    if not own:
-        return "\n".join([*lines, "No frames with truth beside them are installed.", ""])
-    frames = len({o.frame for o in own})
-    lines += [
-        (
-            f"{frames} frames of one day at one place, so survey errors are the same in all of them: read it for how"
-            " good the numbers are, and the many worlds below for how honest the intervals are."
-        ),
-        "",
+def report(outcomes: Sequence[Outcome], command: str) -> str:
+    """The whole page.
+
+    Args:
+        outcomes: of all groups and methods.
+        command: that makes this page again.
+    """
+    own = [o for o in outcomes if o.method == OWN]
+    present = [name for name in NAMES if any(o.group == name for o in own)]
+    told = {name: [o for o in own if o.group == name and o.truth] for name in present}
+    told = {name: some for name, some in told.items() if some}
+    parts = [
+        "# Accuracy",
+        f"Written by `{command}`; do not edit.",
+        PREAMBLE,
+        "\n".join(f"- **{group.name}**: {group.what}." for group in GROUPS if group.name in present),
+        "## Targets",
+        _verdicts(own),
+        "## Sag",
+        _table("sag", told),
+        "## Clearance",
+        _table("clearance", told),
+        "![Error over stated standard uncertainty](accuracy.png)",
+        "![Error of sag by group](accuracy-errors.png)",
+        "![Coverage by group](accuracy-coverage.png)",
+        "## Readings and refusals",
+        _answers(told),
+        *_sequences(told),
+        *_negatives(own),
+        "## All quantities",
+        "All groups but the laboratory's together.",
+        _all_quantities([o for name, some in told.items() if not name.endswith(("lab", "lab45")) for o in some]),
+        *_beside(outcomes, present),
     ]
-    for conductor in sorted({o.conductor for o in own}):
-        of_conductor = [o for o in own if o.conductor == conductor]
-        lines += [f"### {conductor}", "", HEADER, *_all_rows(of_conductor), ""]
-    lines += ["### Beside the paper's methods", ""]
-    if paper:
-        some = {o.frame for o in paper}
-        lines += [
-            (
-                f'On every {PAPER_EVERY}th frame of the day ({len(some)}), all conductors together. "As printed": the'
-                " camera as surveyed, the top quadrants, B'(t) = 0; a conductor that leaves the top quadrants cannot be"
-                ' matched. "Helped": the camera as sagnode\'s landmarks show it in the very frame, the whole frame,'
-                " and the lowest point where mid-span is in space. The paper has no rule for refusing, and its"
-                " intervals are its stated 0.18 % of sag."
-            ),
-            "",
-            *_beside([o for o in own if o.frame in some], paper),
-        ]
-    if timing:
-        base = timing[0].seconds
-        lines += [
-            (
-                f"Time for one frame ({timing[0].frame}) with all conductors, one thread, where this page was written;"
-                f" the paper's over the whole frame, timed with {TIMED_TEMPLATES} templates and scaled to its 300:"
-            ),
-            "",
-            "| method | s | times sagnode's |",
-            "|---|---|---|",
-            *(f"| {t.method} | {t.seconds:.2f} | {t.seconds / base:.0f} |" for t in timing),
-            "",
-        ]
+    return "\n\n".join(part for part in parts if part) + "\n"
+
+
+def _verdicts(own: Sequence[Outcome]) -> str:
+    lines = ["| target | wanted | measured | met |", "|---|---|---|---|"]
+    lines += [f"| {v.what} | {v.wanted} | {v.measured} | {'yes' if v.met else 'no'} |" for v in verdicts(own)]
     return "\n".join(lines)
 
 
-def worlds_section(outcomes: Sequence[Outcome]) -> str:
-    """Coverage over worlds."""
+def _table(stem: str, told: dict[str, list[Outcome]]) -> str:
+    return "\n".join([HEADER, *(_line(name, some, stem) for name, some in told.items())])
+
+
+def _line(label: str, outcomes: Sequence[Outcome], stem: str) -> str:
+    row = statistics(outcomes, stem)
+    if row is None:
+        return f"| {label} | 0 | | | | | | | |"
+    chance = coverage_by_chance(len({o.world for o in outcomes if stem in o.estimates}))
+    return (
+        f"| {label} | {row.told} | {_amount(stem, row.rmse, row.rmse_rel)}"
+        f" | {_amount(stem, row.bias, row.bias_rel, signed=True)} | {_ratio(row.to_limit)}"
+        f" | {100 * row.coverage:.0f} % ± {100 * chance:.0f} | {_amount(stem, row.half_width)}"
+        f" | {_ratio(row.width_to_limit)} | {row.worst_z:.1f} |"
+    )
+
+
+def _answers(told: dict[str, list[Outcome]]) -> str:
     lines = [
-        "## Many worlds",
-        "",
-        (
-            "The same survey, and for each world a truth drawn anew from the standard uncertainties that it states:"
-            " attachments, ground, landmarks, clicks, camera, lens. Weather, light, sag and swing are drawn too."
-        ),
-        "",
+        "| group | good | questionable | invalid | due | missed | false | reasons of the invalid |",
+        "|---|---|---|---|---|---|---|---|",
     ]
+    for name, some in told.items():
+        a = answers(some)
+        missed = f"{a.missed} ({100 * a.missed / a.due:.0f} %)" if a.due else "–"
+        reasons = ", ".join(f"{cause} {n}" for cause, n in a.refusals.most_common())
+        lines.append(
+            f"| {name} | {a.good} | {a.questionable} | {a.invalid} | {a.due} | {missed} | {a.false} | {reasons} |"
+        )
+    return "\n".join(lines)
+
+
+def _sequences(told: dict[str, list[Outcome]]) -> list[str]:
+    lines = []
     for group in GROUPS:
-        in_group = [o for o in outcomes if o.group == group.name]
-        of_group = [o for o in in_group if o.method == OWN]
-        if not of_group:
-            continue
-        worlds = len({o.world for o in of_group})
-        chance = 100 * 1.96 * np.sqrt(0.95 * 0.05 / worlds)
-        lines += [
-            f"### {group.name}: {group.what}",
-            "",
-            (
-                f"{worlds} worlds; chance alone moves a coverage of 95 % by ±{chance:.0f} % (the conductors of one"
-                " world share its camera)."
-            ),
-            "",
-            HEADER,
-            *_all_rows(of_group),
-            "",
-            *_not_told(of_group),
-        ]
-        if group.paper:
-            lines += ["Beside the paper's methods:", "", *_beside(of_group, [o for o in in_group if o.method != OWN])]
-    return "\n".join(lines)
+        found = changes(told.get(group.name, ())) if group.sequence else None
+        if found is not None:
+            lines.append(
+                f"| {group.name} | {found.worlds} | {found.readings} | {_amount('sag', found.scatter)}"
+                f" ({100 * found.scatter_rel:.3f} %) | {_amount('sag', found.step)} |"
+            )
+    if not lines:
+        return []
+    head = "| group | worlds | readings | scatter of sag's error within a world | error of a change of sag |"
+    return [
+        "## From one frame to the next",
+        "One camera, one survey: what its errors add is the same in every frame of a world and leaves no scatter.",
+        "\n".join([head, "|---|---|---|---|---|", *lines]),
+    ]
 
 
-def negatives_section(outcomes: Sequence[Outcome]) -> str:
-    """What must not be told."""
+def _negatives(own: Sequence[Outcome]) -> list[str]:
+    nothing = [o for o in own if not o.truth]
+    if not nothing:
+        return []
     lines = [
-        "## What must not be told",
-        "",
-        "Conductors that are not there or cannot be seen; every number is a mistake.",
-        "",
-        "| view | case | conductors asked for | told good | told questionable | reasons |",
+        "| group | case | conductors asked for | told good | told questionable | reasons |",
         "|---|---|---|---|---|---|",
     ]
-    for name in dict.fromkeys(o.group for o in outcomes):
-        some = [o for o in outcomes if o.group == name]
-        group, kind = name.split(": ")
-        good = sum(o.validity is Validity.GOOD for o in some)
-        doubtful = sum(o.validity is Validity.QUESTIONABLE for o in some)
-        causes = Counter(o.reason.split(":")[0] for o in some)
-        said = ", ".join(f"{cause} {n}" for cause, n in causes.most_common())
-        lines.append(f"| {group} | {kind}: {NEGATIVES[kind]} | {len(some)} | {good} | {doubtful} | {said} |")
-    return "\n".join([*lines, ""])
-
-
-def plot(own: Sequence[Outcome], paper: Sequence[Outcome], worlds: Sequence[Outcome], file: Path) -> None:
-    """Standardised errors of every view beside the normal distribution, and errors of sag by method."""
-    mpl.use("Agg")
-    from matplotlib import pyplot as plt
-
-    figure, (left, right) = plt.subplots(1, 2, figsize=(11, 4.2), layout="constrained")
-    grid = np.linspace(-5, 5, 201)
-    left.fill_between(grid, np.exp(-(grid**2) / 2) / np.sqrt(2 * np.pi), color="0.88", label="as stated")
-    for group in GROUPS:
-        z = [o.z(s) for o in worlds if o.group == group.name and o.method == OWN for s in SHOWN if s in o.estimates]
-        if z:
-            left.hist(np.clip(z, -5, 5), bins=25, range=(-5, 5), density=True, histtype="step", label=group.name)
-    left.axvline(-1.96, color="0.6", lw=0.8)
-    left.axvline(1.96, color="0.6", lw=0.8)
-    left.set(xlabel="error / stated standard uncertainty", title="many worlds: sag, lowest height, clearance")
-    left.legend(frameon=False)
-    named = [
-        ("sagnode", own),
-        *((name, [o for o in paper if o.method == name]) for name in {o.method: 0 for o in paper}),
+    for name in [n for n in NAMES if any(o.group == n for o in nothing)]:
+        for kind, meaning in NEGATIVES.items():
+            some = [o for o in nothing if o.group == name and o.kind == kind]
+            if not some:
+                continue
+            a = answers(some)
+            reasons = ", ".join(f"{cause} {n}" for cause, n in a.refusals.most_common())
+            lines.append(f"| {name} | {kind}: {meaning} | {len(some)} | {a.good} | {a.questionable} | {reasons} |")
+    told = sum(o.told for o in nothing)
+    return [
+        "## What must not be told",
+        f"Conductors that are not there or cannot be seen: {len(nothing)} asked for, {told} told.",
+        "\n".join(lines),
     ]
-    errors = [
-        (name, [100 * o.error("sag") / o.truth["sag"] for o in some if "sag" in o.estimates]) for name, some in named
-    ]
-    for i, (_, values) in enumerate(errors):
-        shown = np.clip(values, -60, 60)
-        right.plot(shown, np.full(len(values), i) + np.linspace(-0.25, 0.25, len(values)), ".", ms=4)
-        told = f"{len(values)} told"
-        right.text(1.01, i, told, va="center", fontsize=8, transform=right.get_yaxis_transform())
-    right.set_yticks(range(len(errors)), [name for name, _ in errors])
-    right.invert_yaxis()
-    right.axvline(0, color="0.6", lw=0.8)
-    right.set_xscale("symlog", linthresh=1)
-    right.set(xlabel="error of sag, % (symmetric log beyond 1 %)", title="demonstration's day", xlim=(-65, 65))
-    figure.savefig(file, dpi=110, metadata={"Software": None})
-    plt.close(figure)
 
 
-def _beside(own: Sequence[Outcome], paper: Sequence[Outcome]) -> list[str]:
-    """Lines of a table of sagnode and the paper's methods on the same frames."""
-    methods = [("sagnode", own)]
-    methods += [(name, [o for o in paper if o.method == name]) for name in dict.fromkeys(o.method for o in paper)]
-    lines = [HEADER.replace("quantity", "quantity, method")]
-    for stem in SHOWN:
-        for name, outcomes in methods:
-            row = statistics(outcomes, stem)
-            label = f"{stem}, {name}"
-            lines.append(table_line(label, row) if row else f"| {label} | {_counts(outcomes)} | | | | | | |")
-    return [*lines, ""]
+def _all_quantities(some: Sequence[Outcome]) -> str:
+    if not some:
+        return ""
+    head = HEADER.replace("group", "quantity")
+    return "\n".join([head, *(_line(stem, some, stem) for stem in stems_of(some))])
 
 
-def _all_rows(outcomes: Sequence[Outcome]) -> list[str]:
-    rows = [(stem, statistics(outcomes, stem)) for stem in stems_of(outcomes)]
-    lines = [table_line(stem, row) for stem, row in rows if row]
-    return lines or [f"| none told | {_counts(outcomes)} | | | | | | |"]
-
-
-def _counts(outcomes: Sequence[Outcome]) -> str:
-    counts = Counter(o.validity for o in outcomes)
-    return " / ".join(str(counts[v]) for v in (Validity.GOOD, Validity.QUESTIONABLE, Validity.INVALID))
-
-
-def _not_told(outcomes: Sequence[Outcome]) -> list[str]:
-    """Reasons of the readings that were refused though the conductor is in the picture."""
-    refused = Counter(o.reason.split(":")[0] for o in outcomes if o.validity is Validity.INVALID)
-    if not refused:
+def _beside(outcomes: Sequence[Outcome], present: Sequence[str]) -> list[str]:
+    """The paper's methods on the frames that they measured too."""
+    tables = []
+    for name in present:
+        in_group = [o for o in outcomes if o.group == name]
+        worlds = {o.world for o in in_group if o.method != OWN}
+        if not worlds:
+            continue
+        some = [o for o in in_group if o.world in worlds]
+        methods = [OWN, *dict.fromkeys(o.method for o in some if o.method != OWN)]
+        for stem in ("sag", "clearance"):
+            for method in methods:
+                label = f"{name}: {stem}, {'sagnode' if method == OWN else method}"
+                tables.append(_line(label, [o for o in some if o.method == method], stem))
+    if not tables:
         return []
-    said = ", ".join(f"{cause} {n}" for cause, n in refused.most_common())
-    return [f"Refused though the wire is in the picture: {refused.total()} of {len(outcomes)} ({said}).", ""]
+    return [
+        "## Beside the paper's methods",
+        (
+            'The same frames. "As printed": the camera as surveyed, the top quadrants, B\'(t) = 0; a conductor that'
+            ' leaves the top quadrants cannot be matched. "Helped": the camera as sagnode\'s landmarks show it in the'
+            " very frame, the whole frame, and the lowest point where mid-span is in space. The paper has no rule for"
+            " refusing, and its intervals are its stated 0.18 % of sag."
+        ),
+        "\n".join([HEADER.replace("group", "group, quantity, method"), *tables]),
+    ]
+
+
+def summary(outcomes: Sequence[Outcome]) -> str:
+    """A few plain lines a group for the terminal."""
+    own = [o for o in outcomes if o.method == OWN]
+    head = f"{'group':16}{'told':>9}{'due':>5}{'miss':>5}{'false':>6}   {'sag RMSE':>10}{'bias':>10}{'/limit':>8}"
+    lines = [head + f"{'holds':>7}{'width':>7}{'worst':>7}   {'clear. RMSE':>11}{'holds':>7}  invalid because"]
+    for name in [n for n in NAMES if any(o.group == n for o in own)]:
+        some = [o for o in own if o.group == name]
+        a, sag, gap = answers(some), statistics(some, "sag"), statistics(some, "clearance")
+        reasons = ", ".join(f"{cause} {n}" for cause, n in a.refusals.most_common(4))
+        numbers = _short(sag, gap) if sag and gap else " " * 65
+        told = f"{sum(o.told for o in some)}/{len(some)}"
+        lines.append(f"{name:16}{told:>9}{a.due:5}{a.missed:5}{a.false:6}   {numbers}  {reasons}")
+    return "\n".join(lines)
+
+
+def _short(sag: Row, gap: Row) -> str:
+    return (
+        f"{_amount('sag', sag.rmse):>10}{_amount('sag', sag.bias, signed=True):>10}{_ratio(sag.to_limit):>8}"
+        f"{100 * sag.coverage:5.0f} %{_ratio(sag.width_to_limit):>7}{sag.worst_z:7.1f}   "
+        f"{_amount('clearance', gap.rmse):>11}{100 * gap.coverage:5.0f} %"
+    )
+
+
+def _ratio(value: float) -> str:
+    return "–" if value != value else f"{value:.2f}"
+
+
+def _amount(stem: str, value: float, relative: float = float("nan"), signed: bool = False) -> str:
+    unit = UNITS[stem]
+    sign = "+" if signed else ""
+    if unit == "m" and stem not in IN_METRES:
+        text = f"{100 * value:{sign}.1f} cm" if abs(value) >= 0.005 else f"{1000 * value:{sign}.2f} mm"
+    elif unit == "deg":
+        text = f"{value:{sign}.2f}°"
+    elif not unit:
+        text = f"{value:{sign}.3f}"
+    else:
+        text = f"{value:{sign}.1f} {unit.upper() if unit in {'n', 'c'} else unit}"
+    return text if relative != relative or stem not in RELATIVE else f"{text} ({100 * relative:{sign}.2f} %)"

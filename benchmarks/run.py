@@ -1,8 +1,10 @@
-"""Accuracy, coverage and speed against the rendered truth; writes ``docs/accuracy.md`` and its plot.
+"""The scene suite: errors, limits, coverage and refusals against the rendered truth.
 
-    python benchmarks/run.py [--worlds 60] [--seed 1] [--frames 1] [--jobs 2] [--out docs]
+    python benchmarks/run.py                                   everything; writes docs/accuracy.md with its plots
+    python benchmarks/run.py --groups tower,fog --worlds 4     a look while developing; writes into out/bench
 
-Everything but the timings is the same for the same options.
+The same options and seed draw the same worlds, whatever the number of processes. Another seed draws all of them anew.
+While developing, the seed is another one than the report's, whose worlds nobody looks at.
 """
 
 from __future__ import annotations
@@ -15,98 +17,89 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from demo_day import PAPER_EVERY, frames_of_the_day, measure_day, measure_day_by_paper, time_of_a_frame
-from many_worlds import negative_tasks, positive_tasks, run
-from paper import Timing
-from report import demo_section, negatives_section, plot, worlds_section
-from tally import Outcome
-from worlds import GROUPS
+from groups import GROUPS
+from plots import write_plots
+from report import report, summary
+from runner import run, tasks
+from tally import JUDGED, Outcome
 
 ROOT = Path(__file__).resolve().parents[1]
-COLUMNS = ("group", "frame", "conductor", "method", "validity", "quantity", "value", "u", "lo", "hi", "truth", "reason")
+REPORT_SEED = 5767
+DEVELOPMENT_SEED = 1
+HEAD = ("group", "world", "frame", "kind", "conductor", "method", "validity", "reasons", "due", "false")
+SEEN = ("visible_share", "clear_share", "snr")
+PARTS = ("value", "u", "lo", "hi", "truth", "limit")
 
 
 def main() -> int:
     options = _options()
-    started = time.monotonic()
-    frames = [] if options.no_day else frames_of_the_day()
-    _say(started, f"demonstration's day: {len(frames)} frames")
-    own = list(measure_day(frames, options.jobs))
-    paper: list[Outcome] = []
-    timing: list[Timing] = []
-    if frames and not options.no_paper:
-        some = frames[PAPER_EVERY // 2 :: PAPER_EVERY]
-        _say(started, f"the paper's methods on {len(some)} of them")
-        paper = list(measure_day_by_paper(some, options.jobs))
-        timing = time_of_a_frame(frames[len(frames) // 2])
-    positive = _run_all(
-        positive_tasks(options.worlds, options.seed, options.frames, options.views), options.jobs, started, "worlds"
-    )
-    negative = _run_all(negative_tasks(options.worlds, options.seed, options.views), options.jobs, started, "negatives")
-    sections = [
-        "# Accuracy",
-        "",
-        (
-            f"Written by `python benchmarks/run.py --worlds {options.worlds} --seed {options.seed} --frames"
-            f" {options.frames}`; do not edit. RMSE, bias and coverage are over all readings that tell a number, good"
-            " and questionable; bias is estimate minus truth; z is the error over the stated standard uncertainty."
-            " Truth comes from the scene generator's exact catenaries, not from the curve that is fitted."
-        ),
-        "",
-        "![Errors](accuracy.png)",
-        "",
-        demo_section(own, paper, timing),
-        worlds_section(positive),
-        negatives_section(negative),
-    ]
-    options.out.mkdir(parents=True, exist_ok=True)
-    (options.out / "accuracy.md").write_text("\n".join(sections), encoding="utf-8")
-    plot(own, paper, positive, options.out / "accuracy.png")
-    if options.csv:
-        _write_csv(options.csv, [*own, *paper, *positive, *negative])
-    _say(started, f"wrote {options.out / 'accuracy.md'} and accuracy.png")
+    quick = options.groups is not None or options.worlds is not None
+    seed = options.seed if options.seed is not None else DEVELOPMENT_SEED if quick else REPORT_SEED
+    out = options.out or (ROOT / "out" / "bench" if quick else ROOT / "docs")
+    table = options.csv or ROOT / "out" / "bench" / "accuracy.csv"
+    try:
+        todo = tasks(options.groups, seed, options.worlds, paper=not options.no_paper)
+    except ValueError as error:
+        print(f"run.py: {error}", file=sys.stderr)
+        return 2
+    outcomes = _run_all(todo, options.jobs)
+    for folder in (out, table.parent):
+        folder.mkdir(parents=True, exist_ok=True)
+    # a look while developing says how it was taken, a report how it is made again
+    words = [f"--seed {seed}"] if not quick else [w for w in sys.argv[1:] if not w.startswith("--jobs")]
+    (out / "accuracy.md").write_text(report(outcomes, f"python benchmarks/run.py {' '.join(words)}"), encoding="utf-8")
+    write_plots(outcomes, out)
+    write_csv(table, outcomes)
+    print(summary(outcomes))
+    print(f"\n{out / 'accuracy.md'} with its plots; every reading in {table}")
     return 0
 
 
 def _options() -> argparse.Namespace:
-    parser = argparse.ArgumentParser(description="accuracy, coverage and speed against the rendered truth")
-    parser.add_argument("--worlds", type=int, default=60, help="worlds of the tower view; other views get a share")
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--frames", type=int, default=1, help="frames for each world")
-    parser.add_argument("--jobs", type=int, default=min(2, os.cpu_count() or 1), help="processes")
-    names = [group.name for group in GROUPS]
-    parser.add_argument("--views", nargs="+", choices=names, default=names, help="kinds of view to draw worlds of")
-    parser.add_argument("--no-day", action="store_true", help="leave the demonstration's day out")
-    parser.add_argument("--no-paper", action="store_true", help="leave the paper's methods and the timings out")
-    parser.add_argument("--out", type=Path, default=ROOT / "docs", help="folder of the report")
-    parser.add_argument("--csv", type=Path, help="also write every single error here")
+    parser = argparse.ArgumentParser(description="errors, limits, coverage and refusals against the rendered truth")
+    names = ", ".join(group.name for group in GROUPS)
+    parser.add_argument("--groups", metavar="A,B", help=f"only these groups: {names}")
+    parser.add_argument("--worlds", type=int, metavar="N", help="at most so many worlds of each group")
+    parser.add_argument(
+        "--seed", type=int, help=f"of everything (default: {REPORT_SEED}, or {DEVELOPMENT_SEED} for a look)"
+    )
+    parser.add_argument(
+        "--jobs", type=int, default=min(2, os.cpu_count() or 1), help="processes (default: %(default)s)"
+    )
+    parser.add_argument("--no-paper", action="store_true", help="leave the paper's methods out")
+    parser.add_argument("--out", type=Path, help="folder of the report (default: docs, or out/bench for a look)")
+    parser.add_argument("--csv", type=Path, help="table of every reading (default: out/bench/accuracy.csv)")
     return parser.parse_args()
 
 
-def _run_all(tasks: Sequence, jobs: int, started: float, what: str) -> list[Outcome]:
+def _run_all(todo: Sequence, jobs: int) -> list[Outcome]:
     results: list[Outcome] = []
-    step = max(1, len(tasks) // 5)
-    for done, outcomes in enumerate(run(list(tasks), jobs), start=1):
+    started = last = time.monotonic()
+    for done, outcomes in enumerate(run(list(todo), jobs), start=1):
         results += outcomes
-        if done % step == 0 or done == len(tasks):
-            _say(started, f"{what}: {done} of {len(tasks)}")
+        now = time.monotonic()
+        if now - last > 15 or done == len(todo):
+            last = now
+            print(
+                f"{now - started:6.0f} s  {done} of {len(todo)} worlds ({todo[done - 1].group})",
+                file=sys.stderr,
+                flush=True,
+            )
     return results
 
 
-def _say(started: float, text: str) -> None:
-    print(f"{time.monotonic() - started:6.0f} s  {text}", file=sys.stderr, flush=True)
-
-
-def _write_csv(file: Path, outcomes: Sequence[Outcome]) -> None:
+def write_csv(file: Path, outcomes: Sequence[Outcome]) -> None:
+    """One line a reading, with the judged quantities, their truth and their limit."""
     with file.open("w", newline="", encoding="utf-8") as sink:
         writer = csv.writer(sink)
-        writer.writerow(COLUMNS)
+        writer.writerow([*HEAD, *SEEN, *(f"{stem}_{part}" for stem in JUDGED for part in PARTS), "why"])
         for o in outcomes:
-            head = [o.group, o.frame, o.conductor, o.method, o.validity.value]
-            for stem, e in o.estimates.items():
-                writer.writerow([*head, stem, e.value, e.u, e.lo, e.hi, o.truth.get(stem, ""), o.reason])
-            if not o.estimates:
-                writer.writerow([*head, "", "", "", "", "", "", o.reason])
+            line = [o.group, o.world, o.frame, o.kind, o.conductor, o.method, o.validity.value, " ".join(o.reasons)]
+            line += [int(o.due), int(o.false), *(o.seen.get(key, "") for key in SEEN)]
+            for stem in JUDGED:
+                numbers = [round(x, 5) for x in o.estimates[stem]] if stem in o.estimates else [""] * 4
+                line += [*numbers, *(round(m[stem], 5) if stem in m else "" for m in (o.truth, o.limit))]
+            writer.writerow([*line, o.why])
 
 
 if __name__ == "__main__":

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -12,22 +13,15 @@ from sagnode.measurement import FrameMeasurement
 from sagnode.message import QUANTITIES, Estimate
 from sagnode.quality import Validity
 
+OWN = "rational-bezier"
 UNITS = {q.stem: q.unit for q in QUANTITIES}
-IN_METRES = {"lowest_along", "clearance_along", "catenary_constant"}
-"""Lengths too large for centimetres."""
-MILLIMETRES_BELOW = 0.005
-"""Shorter lengths are told in millimetres."""
-RELATIVE = {
-    "sag",
-    "inplane_sag",
-    "drop",
-    "clearance",
-    "midspan_sag",
-    "midspan_clearance",
-    "catenary_constant",
-    "tension",
-}
-"""Quantities of which a per cent means something."""
+K95 = 1.96
+SEEN_SHARE = 0.5
+"""Share of the span that must be clear to see (three times the noise of a pixel) for a reading to be due."""
+ABSURD_Z = 5.0
+"""An error beyond so many of a reading's own standard uncertainties is no chance."""
+JUDGED = ("sag", "clearance")
+"""Quantities whose errors make a reading false."""
 
 
 @dataclass(frozen=True)
@@ -35,15 +29,40 @@ class Outcome:
     """One conductor in one reading, beside its truth."""
 
     group: str
-    frame: str
     world: int
+    frame: int
     conductor: str
     method: str
     validity: Validity
-    reason: str
-    estimates: dict[str, Estimate]
-    truth: dict[str, float] = field(default_factory=dict)
+    reasons: tuple[str, ...]
+    """Causes, then their texts in ``why``."""
+    estimates: Mapping[str, Estimate]
+    truth: Mapping[str, float] = field(default_factory=dict)
     """Empty where the conductor is not there or cannot be seen."""
+    limit: Mapping[str, float] = field(default_factory=dict)
+    """Standard uncertainty that nobody can beat in this frame, by stem."""
+    seen: Mapping[str, float] = field(default_factory=dict)
+    """How the renderer saw the conductor: visible_share, clear_share, snr."""
+    fair: bool = True
+    kind: str = ""
+    why: str = ""
+
+    @property
+    def told(self) -> bool:
+        """Whether it has numbers."""
+        return bool(self.estimates)
+
+    @property
+    def due(self) -> bool:
+        """Whether a reading could be expected: half of the span clear to see, by day, camera in place."""
+        return bool(self.truth) and self.fair and self.seen.get("clear_share", 0.0) >= SEEN_SHARE
+
+    @property
+    def false(self) -> bool:
+        """A number where there is nothing to be seen, or one that is absurdly far from the truth."""
+        if not self.truth:
+            return self.told
+        return any(abs(self.z(stem)) > ABSURD_Z for stem in JUDGED if stem in self.estimates)
 
     def error(self, stem: str) -> float:
         """Estimate minus truth, in the quantity's unit."""
@@ -59,72 +78,157 @@ class Outcome:
         estimate = self.estimates[stem]
         return estimate.lo <= self.truth[stem] <= estimate.hi
 
+    def half_width(self, stem: str) -> float:
+        """Half of the stated interval."""
+        estimate = self.estimates[stem]
+        return (estimate.hi - estimate.lo) / 2
+
 
 def outcome(
-    group: str, frame: str, world: int, measured: FrameMeasurement, truth: dict[str, float], method: str | None = None
+    measured: FrameMeasurement,
+    *,
+    group: str,
+    world: int,
+    frame: int,
+    truth: Mapping[str, float],
+    limit: Mapping[str, float],
+    seen: Mapping[str, float],
+    kind: str = "",
+    method: str | None = None,
+    fair: bool = True,
 ) -> Outcome:
     """An outcome from what the pipeline told; ``method`` renames it where settings differ."""
-    # the truth gives blow-out a side, a reading only its amount: the swing's sign has the side
-    truth = {stem: abs(value) if stem == "blowout" else value for stem, value in truth.items()}
     return Outcome(
         group=group,
-        frame=frame,
         world=world,
+        frame=frame,
         conductor=measured.conductor,
         method=method or measured.method,
         validity=measured.validity,
-        reason="; ".join(f"{r.cause}: {r.text}" for r in measured.reasons),
+        reasons=tuple(r.cause.value for r in measured.reasons),
         estimates=dict(measured.estimates),
         truth=truth,
+        limit=limit,
+        seen=seen,
+        fair=fair,
+        kind=kind,
+        why="; ".join(r.text for r in measured.reasons),
     )
 
 
 @dataclass(frozen=True)
 class Row:
-    """Statistics of one quantity over outcomes."""
+    """Statistics of one quantity over the readings that tell it; lengths m."""
 
     stem: str
-    good: int
-    questionable: int
-    invalid: int
+    told: int
     rmse: float
     bias: float
     rmse_rel: float
     bias_rel: float
     coverage: float
     half_width: float
-    z_rms: float
     worst_z: float
-
-    @property
-    def told(self) -> int:
-        """Readings with a number."""
-        return self.good + self.questionable
+    to_limit: float
+    """Root mean square of the errors over the limit of their own scene; NaN where there is none."""
+    width_to_limit: float
+    """Mean of half-widths over twice the limit of their own scene."""
 
 
 def statistics(outcomes: Sequence[Outcome], stem: str) -> Row | None:
-    """Statistics of one quantity; None if no outcome tells it. RMSE and coverage are over good and questionable."""
+    """Statistics of one quantity over good and questionable readings; None if no outcome tells it."""
     told = [o for o in outcomes if stem in o.estimates and stem in o.truth]
     if not told:
         return None
     error = np.array([o.error(stem) for o in told])
     truth = np.array([o.truth[stem] for o in told])
-    relative = error / truth if stem in RELATIVE else np.full(len(told), np.nan)
-    z = np.array([o.z(stem) for o in told])
-    half = np.array([(o.estimates[stem].hi - o.estimates[stem].lo) / 2 for o in told])
+    half = np.array([o.half_width(stem) for o in told])
+    bound = np.array([o.limit.get(stem, np.nan) for o in told])
+    # the worst quantities (a swing's, a skew's truth may be zero) have no ratio
+    with np.errstate(divide="ignore", invalid="ignore"):
+        relative = np.where(truth != 0, error / truth, np.nan)
+        bound = np.where(bound > 0, bound, np.nan)
     return Row(
         stem=stem,
-        good=sum(o.validity is Validity.GOOD for o in outcomes),
-        questionable=sum(o.validity is Validity.QUESTIONABLE for o in outcomes),
-        invalid=sum(o.validity is Validity.INVALID for o in outcomes),
+        told=len(told),
         rmse=_rms(error),
         bias=float(error.mean()),
         rmse_rel=_rms(relative),
         bias_rel=float(relative.mean()),
         coverage=float(np.mean([o.covered(stem) for o in told])),
         half_width=float(half.mean()),
-        z_rms=_rms(z),
-        worst_z=float(np.max(np.abs(z))),
+        worst_z=float(np.max(np.abs([o.z(stem) for o in told]))),
+        to_limit=_rms(error / bound),
+        width_to_limit=float(np.mean(half / (2 * bound))),
+    )
+
+
+@dataclass(frozen=True)
+class Answers:
+    """How often was told what."""
+
+    good: int
+    questionable: int
+    invalid: int
+    false: int
+    due: int
+    missed: int
+    """Readings that were due and are invalid."""
+    refusals: Counter[str]
+    """First causes of the invalid ones."""
+
+
+def answers(outcomes: Sequence[Outcome]) -> Answers:
+    """Validities, false readings, missed readings."""
+    validity = Counter(o.validity for o in outcomes)
+    invalid = [o for o in outcomes if o.validity is Validity.INVALID]
+    return Answers(
+        good=validity[Validity.GOOD],
+        questionable=validity[Validity.QUESTIONABLE],
+        invalid=len(invalid),
+        false=sum(o.false for o in outcomes),
+        due=sum(o.due for o in outcomes),
+        missed=sum(o.due for o in invalid),
+        refusals=Counter(o.reasons[0] if o.reasons else "no reason" for o in invalid),
+    )
+
+
+@dataclass(frozen=True)
+class Changes:
+    """How well readings of one camera agree with each other, whatever the survey's errors are."""
+
+    readings: int
+    worlds: int
+    scatter: float
+    """Standard deviation of the errors about each conductor's own mean, m."""
+    scatter_rel: float
+    """The same over the sag."""
+    step: float
+    """Root mean square error of the change from one frame to the next, m."""
+
+
+def changes(outcomes: Sequence[Outcome], stem: str = "sag") -> Changes | None:
+    """Agreement within sequences; None where no conductor was read twice."""
+    series: dict[tuple[int, str], list[Outcome]] = {}
+    for o in outcomes:
+        if stem in o.estimates and stem in o.truth:
+            series.setdefault((o.world, o.conductor), []).append(o)
+    long = {key: sorted(s, key=lambda o: o.frame) for key, s in series.items() if len(s) > 1}
+    if not long:
+        return None
+    about, relative, steps, freedom = [], [], [], 0
+    for one in long.values():
+        errors = np.array([o.error(stem) for o in one])
+        about.append(errors - errors.mean())
+        relative.append(about[-1] / np.mean([o.truth[stem] for o in one]))
+        steps.append(np.diff(errors))
+        freedom += len(errors) - 1
+    return Changes(
+        readings=sum(len(s) for s in long.values()),
+        worlds=len({world for world, _ in long}),
+        scatter=float(np.sqrt(np.sum(np.concatenate(about) ** 2) / freedom)),
+        scatter_rel=float(np.sqrt(np.sum(np.concatenate(relative) ** 2) / freedom)),
+        step=_rms(np.concatenate(steps)),
     )
 
 
@@ -134,31 +238,9 @@ def stems_of(outcomes: Iterable[Outcome]) -> list[str]:
     return [q.stem for q in QUANTITIES if q.stem in present]
 
 
-HEADER = (
-    "| quantity | good / quest. / invalid | RMSE | bias | 95 % holds | half width | z rms | worst z |\n"
-    "|---|---|---|---|---|---|---|---|"
-)
-
-
-def table_line(label: str, row: Row) -> str:
-    """A line of a Markdown table under :data:`HEADER` with ``label`` for the quantity."""
-    return (
-        f"| {label} | {row.good} / {row.questionable} / {row.invalid} | {_amount(row.stem, row.rmse, row.rmse_rel)}"
-        f" | {_amount(row.stem, row.bias, row.bias_rel, signed=True)} | {100 * row.coverage:.0f} %"
-        f" | {_amount(row.stem, row.half_width)} | {row.z_rms:.2f} | {row.worst_z:.1f} |"
-    )
-
-
-def _amount(stem: str, value: float, relative: float = float("nan"), signed: bool = False) -> str:
-    unit = UNITS[stem]
-    sign = "+" if signed else ""
-    if unit == "m" and stem not in IN_METRES:
-        text = f"{100 * value:{sign}.1f} cm" if abs(value) >= MILLIMETRES_BELOW else f"{1000 * value:{sign}.2f} mm"
-    elif unit == "deg":
-        text = f"{value:{sign}.2f}°"
-    else:
-        text = f"{value:{sign}.1f} {unit.upper() if unit in {'n', 'c'} else unit}"
-    return text if np.isnan(relative) else f"{text} ({100 * relative:{sign}.2f} %)"
+def coverage_by_chance(worlds: int) -> float:
+    """Half-width of the 95 % interval in which a true coverage of 95 % comes out over so many independent draws."""
+    return K95 * math.sqrt(0.95 * 0.05 / max(worlds, 1))
 
 
 def _rms(values: np.ndarray) -> float:

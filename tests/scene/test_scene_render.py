@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from sagnode.config.span import Conductor
 from sagnode.geometry.camera import project
-from sagnode.scene.catenary import PointLoad, WireState, wire_points
+from sagnode.scene.catenary import PartialLoad, PointLoad, WireState, wire_points
 from sagnode.scene.presets import VIEWS, preset_scene, simple_scene, typical_states
 from sagnode.scene.render import render
 from sagnode.scene.spec import Moment, OtherWire, Scene, SpanFrame, Tree, World
@@ -220,8 +220,73 @@ def test_unknown_wires_and_loads_are_drawn() -> None:
     assert np.abs(render(with_other, quiet).image.astype(int) - render(scene, quiet).image).max() > 10
     loaded = replace(quiet, wires={"L1": WireState(1.9, loads=(PointLoad(0.4, 0.3),))})
     truth = render(scene, loaded).truth["conductors"]["L1"]  # type: ignore[index]
-    assert truth["loads"] == ["PointLoad(at=0.4, share=0.3)"]
+    assert truth["loads"] == ["PointLoad(at=0.4, share=0.3, size_m=0.0)"]
     assert truth["lowest_along_m"] < 27
+    hanging = replace(quiet, wires={"L1": WireState(1.9, loads=(PointLoad(0.4, 0.3, 0.6),))})
+    changed = render(scene, hanging).image.astype(int) - render(scene, loaded).image
+    place = pixel_curve(scene, hanging, scene.true.conductors[0], 1001)[400]
+    v, u = np.argwhere(np.abs(changed) > 10).mean(axis=0)
+    assert abs(u - place[0]) < 2
+    assert 0 < v - place[1] < 15
+
+
+def test_ice_makes_its_part_of_the_wire_thicker() -> None:
+    scene, moment = simple_scene(backdrop="plain")
+    quiet = silent(moment)
+    iced = replace(quiet, wires={"L1": WireState(1.9, loads=(PartialLoad(0.5, 0.8, 0.0, 0.03),))})
+    bare = replace(quiet, wires={"L1": WireState(1.9)})
+    changed = np.argwhere(np.abs(render(scene, iced).image.astype(int) - render(scene, bare).image) > 3)[:, ::-1]
+    curve = pixel_curve(scene, bare, scene.true.conductors[0], 1001)
+    nearest = np.nanargmin(np.hypot(*(changed[:, None] - curve[None, ::5]).transpose(2, 0, 1)), axis=1) * 5 / 1000
+    assert 0.48 < nearest.min() < 0.55
+    assert 0.75 < nearest.max() < 0.82
+
+
+def test_what_is_seen_of_a_wire_is_told_point_by_point() -> None:
+    scene, moment = simple_scene(backdrop="plain")
+    rendered = render(scene, silent(moment))
+    (seen,) = rendered.seen["L2"]
+    truth = rendered.truth["conductors"]["L2"]  # type: ignore[index]
+    assert float(seen.share.sum()) == pytest.approx(truth["visible_share"], abs=1e-3)
+    assert np.all(np.diff(seen.place) > 0)
+    curve = pixel_curve(scene, silent(moment), scene.true.conductors[1], 20001)
+    steps = np.hypot(*np.diff(curve[np.round(seen.place * 20000).astype(int)], axis=0).T)
+    assert np.nanmedian(steps) == pytest.approx(1.0, abs=0.1)
+    depth = np.linalg.norm(
+        wire_points(
+            np.array(scene.true.conductors[1].near), np.array(scene.true.conductors[1].far), WireState(2.1), seen.place
+        )
+        - scene.pose.position,
+        axis=1,
+    )
+    np.testing.assert_allclose(seen.width, 0.02 * scene.intrinsics.fx / depth, rtol=1e-4)
+    # dark wires on an even grey: what the picture has in the middle of the wire
+    _, offsets, darkness = across(scene, silent(moment), scene.true.conductors[1])
+    middle = np.median(darkness[:, np.argmin(np.abs(offsets))])
+    assert float(np.median(seen.contrast(moment.psf_px))) == pytest.approx(middle, rel=0.15)
+
+
+def test_haze_takes_the_clear_part_before_the_visible_one() -> None:
+    scene, moment = simple_scene(backdrop="plain")
+    clear, hazy = (render(scene, replace(moment, fog_per_m=f)).truth["conductors"]["L1"] for f in (0.0, 0.05))  # type: ignore[index]
+    assert hazy["visible_share"] == clear["visible_share"]
+    assert hazy["snr"] < clear["snr"]
+    assert hazy["clear_share"] < min(hazy["resolved_share"], clear["clear_share"])
+
+
+def test_strong_clouds_stand_out_more() -> None:
+    scene, moment = simple_scene(backdrop="country")
+    cloudy = replace(silent(moment), cloud=0.5)
+    fair, strong = (render(scene, replace(cloudy, cloud_contrast=c)).image[:120] for c in (1.0, 3.0))
+    assert strong.std() > 1.3 * fair.std()
+
+
+@pytest.mark.parametrize("turn", [-0.64, 0.32, 0.34])
+def test_a_wire_that_passes_just_beside_the_frame_is_not_seen(turn: float) -> None:
+    scene, moment = simple_scene({"L1": 1.9}, backdrop="plain")
+    beside = replace(moment, turn_rad=(turn, 0.0, 0.0))
+    rendered = render(scene, beside)
+    assert rendered.truth["conductors"]["L1"]["visible_share"] == 0.0  # type: ignore[index]
 
 
 def test_conductors_that_do_not_hang_there_are_not_true() -> None:

@@ -8,9 +8,10 @@ from functools import partial
 import numpy as np
 
 from sagnode.capture.port import GreyImage
+from sagnode.geometry.camera import FloatArray
 from sagnode.scene.canvas import Air, Canvas
 from sagnode.scene.catenary import WireState
-from sagnode.scene.noise import sample, tile
+from sagnode.scene.noise import Floats, sample, tile
 from sagnode.scene.optics import develop, exposure_and_gain, noise_level, sunlight
 from sagnode.scene.sky import air_light, paint_horizon, paint_sky
 from sagnode.scene.spec import Moment, Scene, SpanFrame
@@ -29,6 +30,8 @@ class Rendered:
     """8-bit grey (height, width), raw (distorted) pixels."""
     truth: dict[str, object]
     """The JSON document, see :func:`sagnode.scene.truth.truth_document`."""
+    seen: dict[str, tuple[Seen, ...]]
+    """How every sub-conductor came out, by conductor id."""
 
 
 def render(scene: Scene, moment: Moment) -> Rendered:
@@ -47,7 +50,8 @@ def render(scene: Scene, moment: Moment) -> Rendered:
         thing.draw()
     seen = _draw_wires(canvas, scene, moment, sun)
     image = develop(scene, moment, canvas.grey)
-    return Rendered(image, truth_document(scene, moment, seen))
+    summary = {name: _summary(how, moment) for name, how in seen.items()}
+    return Rendered(image, truth_document(scene, moment, summary), seen)
 
 
 def _paint_backdrop(canvas: Canvas, scene: Scene, moment: Moment, frame: SpanFrame, sun: float) -> None:
@@ -89,40 +93,52 @@ def _draw_bars(canvas: Canvas, bars: list[Bar], sun: float) -> None:
         canvas.segment(bar.ends, bar.width_m, bar.grey * (0.8 + 0.35 * sun), opaque=False)
 
 
-def _draw_wires(canvas: Canvas, scene: Scene, moment: Moment, sun: float) -> dict[str, dict[str, float]]:
-    """Draw all wires; by conductor id, what the truth file says about how they are seen."""
+def _draw_wires(canvas: Canvas, scene: Scene, moment: Moment, sun: float) -> dict[str, tuple[Seen, ...]]:
+    """Draw all wires; by conductor id, how they are seen."""
     if not moment.draw_wires:
         return {}
     look = WireLook(shade=46.0 + 12.0 * sun, lit=112.0 + 78.0 * sun)
     for k, wire in enumerate(scene.world.other_wires):
         state = WireState(wire.sag_m)
         draw_wire(canvas, np.array(wire.near), np.array(wire.far), state, wire.diameter_m, look, [scene.seed, 900 + k])
-    seen: dict[str, dict[str, float]] = {}
+    seen: dict[str, tuple[Seen, ...]] = {}
     for k, conductor in enumerate(scene.true.conductors):
         if conductor.id not in moment.wires:
             continue
-        how = draw_conductor(canvas, conductor, moment.wires[conductor.id], look, scene.seed + 1000 * (k + 1))
-        seen[conductor.id] = _summary(how, moment)
+        seed = scene.seed + 1000 * (k + 1)
+        seen[conductor.id] = draw_conductor(canvas, conductor, moment.wires[conductor.id], look, seed)
     return seen
 
 
-def _summary(how: Seen, moment: Moment) -> dict[str, float]:
+CLEAR_SNR = 3.0
+"""Contrast over the noise of one pixel from which a wire is clear to see."""
+
+
+def _summary(wires: tuple[Seen, ...], moment: Moment) -> dict[str, float]:
     """How much of a conductor is in the frame, and how much of it stands out from the noise.
 
     ``visible_share``: share of the span in the frame and behind nothing. ``resolved_share``: share of the span where
-    the wire's contrast also reaches the noise of one pixel. ``contrast_grey``: median contrast over the visible span.
-    Rain streaks, drops on the lens and glare come after this and are not counted.
+    the wire's contrast also reaches the noise of one pixel; ``clear_share``: three times that. ``contrast_grey`` and
+    ``snr``: medians of contrast, and of contrast over noise, over the visible span. A bundle is told by its first
+    sub-conductor. Rain streaks, drops on the lens and glare come after this and are not counted.
     """
+    how = wires[0]
     brightness, gain = exposure_and_gain(moment)
     if moment.lens in ("covered", "fogged") or how.share.size == 0:
-        return {"visible_share": 0.0, "resolved_share": 0.0, "contrast_grey": 0.0}
-    contrast = how.contrast * brightness
-    clear = contrast >= noise_level(moment, how.background * brightness, gain)
-    order = np.argsort(contrast)
-    weight = np.cumsum(how.share[order])
-    median = contrast[order][int(np.searchsorted(weight, weight[-1] / 2))]
+        return dict.fromkeys(("visible_share", "resolved_share", "clear_share", "contrast_grey", "snr"), 0.0)
+    contrast = how.contrast(moment.psf_px) * brightness
+    noise = noise_level(moment, how.background * brightness, gain)
+    snr = contrast / np.maximum(noise, np.float32(1e-6))
     return {
         "visible_share": round(min(float(how.share.sum()), 1.0), 3),
-        "resolved_share": round(min(float(how.share[clear].sum()), 1.0), 3),
-        "contrast_grey": round(float(median), 1),
+        "resolved_share": round(min(float(how.share[snr >= 1].sum()), 1.0), 3),
+        "clear_share": round(min(float(how.share[snr >= CLEAR_SNR].sum()), 1.0), 3),
+        "contrast_grey": round(_median(contrast, how.share), 1),
+        "snr": round(_median(snr, how.share), 1),
     }
+
+
+def _median(values: Floats, share: FloatArray) -> float:
+    order = np.argsort(values)
+    weight = np.cumsum(share[order])
+    return float(values[order][int(np.searchsorted(weight, weight[-1] / 2))])

@@ -33,7 +33,7 @@ WORLD_SEED = 20260621
 """Of the surroundings: clouds, trees, fields."""
 SURVEY_SEED = 1
 """Of the survey's errors and the clicks. They are one draw, shared by every frame of the day; how often intervals hold
-the truth over many draws is measured by ``benchmarks/many_worlds.py``."""
+the truth over many draws is measured by ``benchmarks/run.py``."""
 DAY_SEED = 41
 FIRST = datetime(2026, 6, 21, 0, 0, tzinfo=UTC)
 FRAMES = 48

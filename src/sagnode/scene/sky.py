@@ -35,9 +35,10 @@ def paint_sky(canvas: Canvas, scene: Scene, moment: Moment) -> None:
         texture = tile(scene.seed, "clouds", slope=1.45, coarsest=200.0, finest=2.5)
         x, y = direction[..., 1] * layer - np.float32(east), direction[..., 0] * layer - np.float32(north)
         density = sample(texture, x, y) + np.float32(3.2 * moment.cloud - 1.7)
-        cover = np.clip(density * np.float32(0.7), 0.0, 1.0)
+        cover = np.clip(density * np.float32(0.7 * moment.cloud_contrast), 0.0, 1.0)
         # thick clouds are dark below; thin ones shine
-        tone = np.float32(222.0 - 30.0 * moment.cloud) - np.float32(32.0) * np.clip(density - 0.4, 0.0, 1.2)
+        dark = np.float32(32.0 * moment.cloud_contrast) * np.clip(density - 0.4, 0.0, 1.2)
+        tone = np.float32(222.0 - 30.0 * moment.cloud) - dark
         fade = np.clip((up - np.float32(_EARLIEST_SLOPE)) / np.float32(0.10), 0.0, 1.0)
         grey += cover * fade * (tone - grey)
     if moment.fog_per_m > 1e-3:

@@ -82,6 +82,8 @@ class Moment:
     sun_elevation_deg: float = 50.0
     cloud: float = 0.4
     """Cover from 0 (clear) to 1 (overcast)."""
+    cloud_contrast: float = 1.0
+    """How strongly clouds stand out from the sky and within themselves; 1 is a fair day."""
     cloud_drift_m: tuple[float, float] = (0.0, 0.0)
     """How far the clouds have travelled east and north."""
     fog_per_m: float = 1.5e-4

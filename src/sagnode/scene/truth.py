@@ -19,7 +19,7 @@ from sagnode.config.span import Conductor, Span
 from sagnode.errors import FrameError
 from sagnode.geometry.camera import FloatArray, inside, project
 from sagnode.message import QUANTITIES
-from sagnode.scene.catenary import WireState, constant_of_state, profile, wire_points
+from sagnode.scene.catenary import WireState, constant_of_state, load_skew, profile, wire_points
 from sagnode.scene.spec import Moment, Scene
 
 SCHEMA = "sagnode.truth/1"
@@ -41,7 +41,8 @@ def true_quantities(span: Span, conductor: Conductor, state: WireState) -> dict[
     """Every quantity of :data:`sagnode.message.QUANTITIES` that geometry gives, by stem; metres, degrees, newtons.
 
     ``inplane_sag`` is measured along apparent gravity, as the sag that a state is made of; ``blowout`` is a magnitude;
-    under wind the tension belongs to the apparent weight w/cos φ.
+    under wind the tension belongs to the apparent weight w/cos φ. With extra loads H/w is still over the bare wire's
+    weight, so that times it is the tension.
     """
     near, far = np.array(conductor.near), np.array(conductor.far)
     chord = far - near
@@ -70,6 +71,7 @@ def true_quantities(span: Span, conductor: Conductor, state: WireState) -> dict[
         "midspan_sag": float((near[2] + far[2]) / 2 - mid_height),
         "midspan_clearance": mid_height - float(ground_and_obstacles(span, middle)[0]),
         "catenary_constant": constant_of_state(length, float(chord[2]), state),
+        "load_skew": load_skew(state.loads),
     }
     if conductor.unit_weight_n_m is not None:
         quantities["tension"] = (

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from sagnode.config.span import Conductor
 from sagnode.geometry.camera import FloatArray
 from sagnode.scene.canvas import Canvas, normal_cdf
-from sagnode.scene.catenary import WireState, wire_points
+from sagnode.scene.catenary import PartialLoad, PointLoad, WireState, wire_points
 from sagnode.scene.noise import Float32, Floats, generator
 
 STEP_PX = 1.0
@@ -30,17 +30,26 @@ class WireLook:
 
 @dataclass(frozen=True)
 class Seen:
-    """How a wire came out in the picture, at points along it that are in the frame and behind nothing."""
+    """How a wire came out in the picture, at points along it, one pixel apart, in the frame and behind nothing."""
 
+    place: FloatArray
+    """Fraction of the horizontal span (N,)."""
     share: FloatArray
     """Share of the span (N,) that every point stands for."""
-    contrast: Floats
-    """Difference of its middle from what is behind it (N,), linear greys."""
+    difference: Floats
+    """Its grey minus that of what is behind it (N,), linear greys; what the air leaves of it."""
+    width: Floats
+    """Its width (N,), px."""
     background: Floats
     """What is behind it (N,), linear greys."""
 
+    def contrast(self, psf_px: float) -> Floats:
+        """Difference of its middle in the picture from what is behind it (N,), linear greys, never negative."""
+        cover = 2 * normal_cdf(self.width / np.float32(2 * psf_px)) - 1
+        return np.abs(cover * self.difference)
 
-_UNSEEN = Seen(np.zeros(0), np.zeros(0, np.float32), np.zeros(0, np.float32))
+
+_UNSEEN = Seen(np.zeros(0), np.zeros(0), *(np.zeros(0, np.float32),) * 3)
 
 
 def sub_conductor_offsets(conductor: Conductor) -> FloatArray:
@@ -56,8 +65,10 @@ def sub_conductor_offsets(conductor: Conductor) -> FloatArray:
     return np.array(layouts[conductor.sub_conductors])
 
 
-def draw_conductor(canvas: Canvas, conductor: Conductor, state: WireState, look: WireLook, seed: int) -> Seen:
-    """Draw one conductor with all its sub-conductors; what is reported is the first of them."""
+def draw_conductor(
+    canvas: Canvas, conductor: Conductor, state: WireState, look: WireLook, seed: int
+) -> tuple[Seen, ...]:
+    """Draw one conductor with all its sub-conductors, and say how each of them came out."""
     near, far = np.array(conductor.near), np.array(conductor.far)
     chord = far - near
     across = np.array([chord[1], -chord[0], 0.0]) / np.hypot(chord[0], chord[1])
@@ -65,7 +76,12 @@ def draw_conductor(canvas: Canvas, conductor: Conductor, state: WireState, look:
     for k, (side, up) in enumerate(sub_conductor_offsets(conductor)):
         shift = side * across + np.array([0.0, 0.0, up])
         seen.append(draw_wire(canvas, near + shift, far + shift, state, conductor.diameter_m, look, [seed, k]))
-    return seen[0]
+    for load in state.loads:
+        if isinstance(load, PointLoad) and load.size_m > 0:
+            place = wire_points(near, far, state, np.array([load.at]))[0]
+            below = place - np.array([0.0, 0.0, load.size_m])
+            canvas.segment(np.stack([place, below]), 0.5 * load.size_m, look.shade)
+    return tuple(seen)
 
 
 def draw_wire(
@@ -82,7 +98,7 @@ def draw_wire(
     if curve is None:
         return _UNSEEN
     focal = (canvas.intrinsics.fx + canvas.intrinsics.fy) / 2
-    width = (focal * diameter_m / curve.depth).astype(np.float32)
+    width = (focal * diameter_m / curve.depth + focal * _sleeve(curve.s, state) / curve.depth).astype(np.float32)
     grey = _greys(canvas, curve, look, seed)
     reach = width / 2 + 3.5 * canvas.psf_px
     seen = _seen(canvas, curve, width, grey)
@@ -105,8 +121,16 @@ def _seen(canvas: Canvas, curve: _Polyline, width: Floats, grey: Floats) -> Seen
     kept = (column >= 0) & (column < canvas.intrinsics.width) & (row >= 0) & (row < canvas.intrinsics.height)
     kept[kept] = canvas.distance[row[kept], column[kept]] > curve.depth[kept]
     background = canvas.grey[row[kept], column[kept]]
-    cover = 2 * normal_cdf(width[kept] / np.float32(2 * canvas.psf_px)) - 1
-    return Seen(curve.share[kept], np.abs(cover * (grey[kept] - background)), background)
+    return Seen(curve.s[kept], curve.share[kept], grey[kept] - background, width[kept], background)
+
+
+def _sleeve(s: FloatArray, state: WireState) -> Float32:
+    """By how much ice makes the wire thicker (N,) at the fractions ``s``, m."""
+    sleeve = np.zeros(s.shape, np.float32)
+    for load in state.loads:
+        if isinstance(load, PartialLoad):
+            sleeve[(s >= load.start) & (s <= load.end)] += np.float32(load.sleeve_m)
+    return sleeve
 
 
 @dataclass(frozen=True)
@@ -196,7 +220,7 @@ def _nearest(canvas: Canvas, curve: _Polyline, reach: Floats) -> tuple[Indices, 
         columns.append(column[good])
         segments.append(np.broadcast_to(chosen[:, None], good.shape)[good])
         distances.append(distance[good].astype(np.float32))
-    if not rows:
+    if not any(found.size for found in rows):
         none = np.zeros(0, np.intp)
         return none, none, none, np.zeros(0, np.float32)
     row, column = np.concatenate(rows), np.concatenate(columns)

@@ -1,0 +1,133 @@
+"""The groups of the suite, in the order of the report."""
+
+from __future__ import annotations
+
+import draws
+from views import VIEWS
+from worlds import Group
+
+_V = VIEWS
+
+GROUPS = (
+    # plain views
+    Group("lab", "the paper's laboratory, frontal", _V["lab"], 60, draws.frames(), paper=60),
+    Group("lab45", "the paper's laboratory at 45°", _V["lab45"], 60, draws.frames(), paper=60),
+    Group(
+        "tower",
+        "the demonstration's span: camera at tower 1, 5 m below the attachments, 1456x1088, f = 2050 px",
+        _V["tower"],
+        40,
+        draws.frames(),
+        paper=6,
+    ),
+    Group(
+        "field",
+        "the paper's 110 kV span through a long lens from tower 1, 4056x3040, f = 15 300 px",
+        _V["field"],
+        18,
+        draws.frames(),
+        paper=2,
+    ),
+    Group(
+        "field-tower",
+        "the same span through a short lens, f = 1739 px, surveyed to 5 cm",
+        _V["field-tower"],
+        18,
+        draws.frames(),
+    ),
+    Group(
+        "field-ground",
+        "the demonstration's span from the ground beside tower 1, looking along the line",
+        _V["ground"],
+        18,
+        draws.frames(),
+        paper=4,
+    ),
+    Group("side50", "from the side, 50 m off, f = 540 px, phases above each other", _V["side50"], 26, draws.frames()),
+    Group(
+        "side100",
+        "from the side, 100 m off, f = 1100 px, phases above each other",
+        _V["side"],
+        26,
+        draws.frames(),
+        paper=4,
+    ),
+    Group("side200", "from the side, 200 m off, where the wires are 0.12 px wide", _V["side200"], 18, draws.frames()),
+    # the conductor
+    Group(
+        "heights", "ends unequal by up to 25 m, from the tower", _V["tower"], 18, draws.frames(), draws.unequal_heights
+    ),
+    Group("day", "twelve frames of a day, from the tower", _V["tower"], 5, draws.day),
+    Group(
+        "wind",
+        "wires swung by up to 30°, from the tower (the survey's prior says so)",
+        _V["tower"],
+        18,
+        draws.frames(draws.wind),
+        draws.windy,
+    ),
+    Group("ice", "ice on part of the span, from the tower", _V["tower"], 18, draws.frames(draws.partial_ice)),
+    Group("ice-side", "ice on part of the span, from the side", _V["side"], 26, draws.frames(draws.partial_ice)),
+    Group("weight", "a weight at one place, from the tower", _V["tower"], 18, draws.frames(draws.point_load)),
+    Group("bundle2", "two sub-conductors a phase, from the tower", _V["tower"], 18, draws.frames(), draws.bundled(2)),
+    Group("bundle4", "four sub-conductors a phase, from the tower", _V["tower"], 18, draws.frames(), draws.bundled(4)),
+    # weather and light
+    Group("fog", "mist to fog in which nothing is seen, from the tower", _V["tower"], 30, draws.frames(draws.fog)),
+    Group("fog-side", "the same from the side", _V["side"], 26, draws.frames(draws.fog)),
+    Group("rain", "rain, in half of the frames with drops on the lens", _V["tower"], 18, draws.frames(draws.rain)),
+    Group("night", "sun 0 to 12° below the horizon", _V["tower"], 18, draws.frames(draws.night)),
+    Group("glare", "a low sun in the picture or beside it", _V["tower"], 18, draws.frames(draws.glare)),
+    Group("clouds", "strong clouds", _V["tower"], 18, draws.frames(draws.strong_clouds)),
+    # what stands around
+    Group("treeline", "wires before a forest", _V["tower"], 18, draws.frames(), world=draws.treeline),
+    Group(
+        "treeline-side", "wires before a forest, from the side", _V["side"], 26, draws.frames(), world=draws.treeline
+    ),
+    Group("occlusion", "crowns hide 20 to 40 % of one conductor", _V["tower"], 18, draws.frames(draws.occluded)),
+    Group("occlusion-side", "the same from the side", _V["side"], 26, draws.frames(draws.occluded)),
+    Group("crossing", "another line crosses the span", _V["tower"], 18, draws.frames(), world=draws.crossed),
+    Group("crossing-side", "the same from the side", _V["side"], 26, draws.frames(), world=draws.crossed),
+    # the camera
+    Group("sway", "the camera moved by up to 30 px", _V["tower"], 18, draws.frames(draws.moved(5.0, 30.0))),
+    Group("knocked", "the camera moved by 30 to 150 px", _V["tower"], 18, draws.frames(draws.moved(30.0, 150.0))),
+    # one frame and the next
+    Group(
+        "repeat-lab",
+        "six frames of one moment in the laboratory",
+        _V["lab"],
+        10,
+        draws.same_again(6),
+        sequence=True,
+    ),
+    Group(
+        "steps",
+        "six frames with steps of sag of 3 cm, from the tower",
+        _V["tower"],
+        6,
+        draws.small_steps(6, 0.03),
+        sequence=True,
+    ),
+    # what must not be told
+    Group("none-tower", "negatives from the tower", _V["tower"], 50, draws.negatives),
+    Group("none-field", "negatives in the field, short lens", _V["field-tower"], 14, draws.negatives),
+    Group("none-ground", "negatives from the ground", _V["ground"], 14, draws.negatives),
+    Group("none-side", "negatives from the side", _V["side"], 20, draws.negatives),
+    Group("none-lab", "negatives in the laboratory", _V["lab"], 20, draws.negatives),
+    Group("none-lab45", "negatives in the laboratory at 45°", _V["lab45"], 20, draws.negatives),
+)
+
+
+def groups_by_name(names: str | None) -> list[Group]:
+    """The groups of a comma-separated list, all without one.
+
+    Raises:
+        ValueError: a name is not known.
+    """
+    known = {group.name: group for group in GROUPS}
+    if names is None:
+        return list(GROUPS)
+    wanted = [name.strip() for name in names.split(",") if name.strip()]
+    strange = [name for name in wanted if name not in known]
+    if strange:
+        raise ValueError(f"no group {', '.join(strange)}; there are {', '.join(known)}")
+    return [known[name] for name in wanted]
