@@ -3,7 +3,7 @@ PYTHON ?= python3
 export PYTHON
 BIN = .venv/bin
 
-.PHONY: help demo test lint format bench clean
+.PHONY: help demo test lint format bench deb clean
 
 help:
 	@echo "make demo    a simulated day of one span: the real daemon, a broker, a plot (under out/)"
@@ -11,6 +11,7 @@ help:
 	@echo "make lint    linters and types alone"
 	@echo "make format  put the source into its standard form"
 	@echo "make bench   benchmarks: errors, coverage, times"
+	@echo "make deb     Debian packages for Bookworm and Trixie, arm64 and amd64 (under build/)"
 	@echo "make clean   remove the environment and everything that was generated"
 
 demo:
@@ -33,6 +34,10 @@ format:
 bench:
 	@scripts/setup dev
 	@$(BIN)/python benchmarks/run.py
+
+deb:
+	@scripts/setup dev
+	@$(BIN)/python deploy/build_deb.py
 
 clean:
 	rm -rf .venv .mypy_cache .ruff_cache .pytest_cache .hypothesis out build dist src/*.egg-info

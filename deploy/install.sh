@@ -1,13 +1,16 @@
 #!/bin/bash
-# Installs sagnode from this checkout as a service, on Raspberry Pi OS or Debian 12 (Bookworm) or 13 (Trixie).
+# Installs sagnode as a service, on Raspberry Pi OS or Debian 12 (Bookworm) or 13 (Trixie).
 #
-#   sudo deploy/install.sh               install, or upgrade and restart
+#   sudo deploy/install.sh               from this checkout: install, or upgrade and restart
+#   sudo deploy/install.sh --from FILE   from a package (make deb), without network or pip
+#   sudo deploy/install.sh --rollback    back to the release before
 #   deploy/install.sh --dry-run          say what would be done
 #   sudo deploy/install.sh --uninstall   take the program and the service away; configuration and readings stay
 #   sudo deploy/install.sh --uninstall --purge   those too, and the user
 #
-# The program goes to /opt/sagnode/releases/<version>/venv; /opt/sagnode/current points to the one in use and the one
-# before it stays, so that a step back is: ln -sfn releases/<version> /opt/sagnode/current && systemctl restart sagnode.
+# A release is a directory of its own, /opt/sagnode/releases/<version>; /opt/sagnode/current points to the one in use and
+# the one before it stays. A new one is looked over with its own doctor before anything is switched, and when the service
+# does not become ready with it, or does not stay so for SETTLE_S seconds (20), the old one is put back by itself.
 # An existing configuration in /etc/sagnode is never touched. Works in a chroot or container without systemd running.
 set -euo pipefail
 
@@ -16,12 +19,17 @@ OPT=/opt/sagnode
 ETC=/etc/sagnode
 STATE=/var/lib/sagnode
 COMMAND=/usr/local/bin/sagnode
-UNIT=/etc/systemd/system/sagnode.service
+UNITS=/etc/systemd/system
 NEEDED_MB=700
+SETTLE_S=${SETTLE_S:-20}
 
 dry_run=no
 action=install
 purge=no
+package=
+previous=
+codename=
+configured=no
 
 say() { printf 'install: %s\n' "$*"; }
 fail() {
@@ -39,11 +47,13 @@ run() {
 }
 
 systemd_runs() { [ -d /run/systemd/system ]; }
+has_systemd() { command -v systemctl >/dev/null 2>&1; }
 is_raspberry_pi() { grep -qs 'Raspberry Pi' /proc/device-tree/model; }
 has_package() { dpkg-query -W -f '${db:Status-Status}' "$1" 2>/dev/null | grep -qx installed; }
+needs_root() { [ "$dry_run" = yes ] || [ "$(id -u)" = 0 ] || fail "needs root" "sudo $0 $*"; }
 
 usage() {
-	sed -n '2,9s/^# \{0,1\}//p' "$0"
+	sed -n '2,10s/^# \{0,1\}//p' "$0"
 }
 
 check_machine() {
@@ -51,30 +61,51 @@ check_machine() {
 	# shellcheck disable=SC1091
 	. /etc/os-release
 	codename=${VERSION_CODENAME:-unknown}
-	constraints=$HERE/deploy/constraints-$codename.txt
-	[ -f "$constraints" ] ||
+	case $codename in
+	bookworm | trixie) ;;
+	*)
 		fail "${PRETTY_NAME:-this system} is not supported; Bookworm (12) and Trixie (13) are" \
 			"upgrade the system, or install by hand: python3 -m venv, pip install ."
+		;;
+	esac
 	case $(uname -m) in
 	x86_64 | aarch64) ;;
 	*) fail "$(uname -m): there are no OpenCV packages for it" "use the 64-bit Raspberry Pi OS" ;;
 	esac
-	[ "$dry_run" = yes ] || [ "$(id -u)" = 0 ] || fail "needs root" "sudo $0"
+	needs_root
+	! has_package sagnode || fail "the Debian package sagnode is installed" \
+		"upgrade that: apt install ./sagnode_....deb; or apt remove sagnode first"
 	local free_mb
 	free_mb=$(df -Pm /opt 2>/dev/null | awk 'NR == 2 {print $4}')
 	[ "${free_mb:-0}" -ge "$NEEDED_MB" ] || fail "/opt has ${free_mb:-no} MB free; $NEEDED_MB MB are needed"
-	[ -f "$HERE/src/sagnode/__init__.py" ] || fail "$HERE is not a checkout of sagnode"
-	version=$(sed -n 's/^__version__ = "\(.*\)"$/\1/p' "$HERE/src/sagnode/__init__.py")
-	[ -n "$version" ] || fail "no version in $HERE/src/sagnode/__init__.py"
+	if [ -n "$package" ]; then
+		check_package
+	else
+		[ -f "$HERE/src/sagnode/__init__.py" ] || fail "$HERE is not a checkout of sagnode" "$0 --from PACKAGE needs none"
+		version=$(sed -n 's/^__version__ = "\(.*\)"$/\1/p' "$HERE/src/sagnode/__init__.py")
+		[ -n "$version" ] || fail "no version in $HERE/src/sagnode/__init__.py"
+	fi
 	say "sagnode $version on ${PRETTY_NAME:-$codename}, $(uname -m)"
 }
 
+check_package() {
+	[ -f "$package" ] || fail "no file $package"
+	[ "$(dpkg-deb -f "$package" Package 2>/dev/null)" = sagnode ] || fail "$package is not a package of sagnode"
+	local arch
+	arch=$(dpkg-deb -f "$package" Architecture)
+	[ "$arch" = "$(dpkg --print-architecture)" ] ||
+		fail "$package is for $arch, this machine is $(dpkg --print-architecture)"
+	version=$(dpkg-deb -f "$package" Version)
+	version=${version%%+deb*}
+}
+
 install_system_packages() {
-	local wanted=(python3 python3-venv ca-certificates) missing=() package
+	local wanted=(python3 ca-certificates) missing=() name
+	[ -n "$package" ] || wanted+=(python3-venv)
 	# Picamera2 is bound to the system's libcamera; it cannot come from PyPI.
 	! is_raspberry_pi || wanted+=(python3-picamera2)
-	for package in "${wanted[@]}"; do
-		has_package "$package" || missing+=("$package")
+	for name in "${wanted[@]}"; do
+		has_package "$name" || missing+=("$name")
 	done
 	if [ ${#missing[@]} -gt 0 ]; then
 		say "installing ${missing[*]} with apt"
@@ -91,10 +122,12 @@ make_user() {
 	fi
 	getent group video >/dev/null || run groupadd --system video
 	run usermod --append --groups video sagnode
+	# As the unit's StateDirectory= would make it at the first start; until then doctor and status have where to look.
+	[ -d "$STATE" ] || run install -d -m 0750 -o sagnode -g sagnode "$STATE"
 }
 
-# The release's own directory; a second installation of one version stands beside the first, since a virtual
-# environment cannot be moved and the running one must not change under the daemon.
+# The release's own directory; a second installation of one version stands beside the first, since the running one must
+# not change under the daemon.
 choose_release() {
 	release=$OPT/releases/$version
 	local n=2
@@ -102,18 +135,43 @@ choose_release() {
 		release=$OPT/releases/$version-$n
 		n=$((n + 1))
 	done
+	previous=$(readlink "$OPT/current" || true)
 }
 
 build_release() {
+	run mkdir -p "$release"
+	# shellcheck disable=SC2064 # the value of now
+	trap "[ '$dry_run' = yes ] || rm -rf '$release'" EXIT
+	if [ -n "$package" ]; then
+		unpack_release
+	else
+		pip_release
+	fi
+	run "$release/venv/bin/python" -c 'import cv2, numpy, pydantic, paho.mqtt.client, apscheduler, sagnode' ||
+		fail "the new release does not work on this machine; nothing was changed"
+	# The service may not write here, so that its imports would be compiled anew at every start.
+	run "$release/venv/bin/python" -m compileall -q -j 0 "$release/venv/lib" || say "some modules could not be compiled"
+	[ "$dry_run" = yes ] || say "$("$release/venv/bin/sagnode" --version), $(du -sm "$release" | cut -f1) MB"
+}
+
+unpack_release() {
+	say "unpacking $package to $release"
+	run dpkg-deb -x "$package" "$release/unpacked"
+	run mv "$release/unpacked/usr/lib/sagnode/venv" "$release/venv"
+	run mkdir "$release/systemd"
+	run find "$release/unpacked" -path '*/systemd/system/*' -type f -exec cp {} "$release/systemd/" \;
+	run sed -i "s,/usr/bin/sagnode,$COMMAND," "$release/systemd/sagnode.service"
+	run cp "$release/unpacked/usr/share/doc/sagnode/README.md" "$release/"
+	run rm -rf "$release/unpacked"
+}
+
+pip_release() {
 	local site_packages=()
 	if python3 -c 'import importlib.util as u, sys; sys.exit(u.find_spec("picamera2") is None)' 2>/dev/null; then
 		say "picamera2 is installed: the environment sees the system's packages"
 		site_packages=(--system-site-packages)
 	fi
 	say "building $release (some 250 MB from PyPI)"
-	run mkdir -p "$release"
-	# shellcheck disable=SC2064 # the value of now
-	trap "[ '$dry_run' = yes ] || rm -rf '$release'" EXIT
 	run python3 -m venv "${site_packages[@]}" "$release/venv"
 	# A copy of what the package is made of: building must leave nothing of root's in the checkout.
 	local source=$release/source
@@ -121,23 +179,134 @@ build_release() {
 	run cp -r "$HERE"/pyproject.toml "$HERE"/README.md "$HERE"/LICENSE "$HERE"/src "$source" ||
 		fail "$HERE is not a whole checkout"
 	run rm -rf "$source"/src/*.egg-info
-	run "$release/venv/bin/python" -m pip install --quiet --disable-pip-version-check --no-warn-script-location \
-		--constraint "$constraints" "$source" || fail "pip could not install the packages (its words are above)" \
-		"is the network up, and pypi.org or your mirror (PIP_INDEX_URL) reachable?"
+	# Wheels only, and only those whose hashes are in the lock: nothing is compiled here, and nothing else comes in.
+	local pip=("$release/venv/bin/python" -m pip)
+	local install=("${pip[@]}" install --quiet --disable-pip-version-check --no-warn-script-location)
+	run "${install[@]}" --only-binary=:all: --require-hashes --requirement "$HERE/deploy/requirements-$codename.txt" ||
+		fail "pip could not install the packages (its words are above)" \
+			"is the network up, and pypi.org or your mirror (PIP_INDEX_URL) reachable?"
+	run "${install[@]}" --no-deps --no-build-isolation "$source" || fail "pip could not install sagnode itself"
+	run "${pip[@]}" uninstall --quiet --yes setuptools
 	run rm -rf "$source"
+	run cp -r "$HERE/systemd" "$release/systemd"
 	run cp "$HERE/README.md" "$HERE/LICENSE" "$release/"
-	run "$release/venv/bin/python" -c 'import cv2, numpy, pydantic, paho.mqtt.client, apscheduler, sagnode' ||
-		fail "the new environment does not work; nothing was changed but $release"
-	[ "$dry_run" = yes ] || say "$("$release/venv/bin/sagnode" --version), $(du -sm "$release" | cut -f1) MB"
-	trap - EXIT
 }
 
-switch_release() {
-	previous=$(readlink "$OPT/current" || true)
-	run ln -sfn "releases/${release##*/}" "$OPT/current.new"
+# Looks with the new release at what the old one works with; nothing has been switched yet.
+preflight() {
+	if [ ! -e "$ETC/node.toml" ] && [ ! -e "$ETC/span.toml" ]; then
+		say "writing an example configuration to $ETC"
+		[ -d "$ETC" ] || run install -d -m 0750 -o root -g sagnode "$ETC"
+		run "$release/venv/bin/sagnode" config init --out "$ETC" >/dev/null ||
+			fail "no example configuration could be written to $ETC"
+		run chown root:sagnode "$ETC/node.toml" "$ETC/span.toml"
+		run chmod 0640 "$ETC/node.toml" "$ETC/span.toml"
+	elif [ "$dry_run" = yes ]; then
+		run "$release/venv/bin/sagnode" doctor --config "$ETC" --skip camera --skip broker --skip system
+		configured=yes
+	elif look_over "$release"; then
+		configured=yes
+	elif [ -n "$previous" ] && look_over "$OPT/$previous"; then
+		"$release/venv/bin/sagnode" doctor --config "$ETC" --skip camera --skip broker --skip system >&2 || true
+		fail "the new release finds faults that the one in use does not (above); nothing was changed"
+	else
+		say "WARNING: $ETC has faults; see: sagnode doctor"
+	fi
+}
+look_over() {
+	"$1/venv/bin/sagnode" doctor --config "$ETC" --skip camera --skip broker --skip system >/dev/null 2>&1
+}
+
+# point_to RELEASE: the link, the command and the units.
+point_to() {
+	run ln -sfn "$1" "$OPT/current.new"
 	run mv -T "$OPT/current.new" "$OPT/current"
-	run mkdir -p "$(dirname "$COMMAND")"
+	run mkdir -p "$(dirname "$COMMAND")" "$UNITS"
 	run ln -sfn "$OPT/current/venv/bin/sagnode" "$COMMAND"
+	if [ "$dry_run" = yes ]; then
+		run install -m 0644 "$OPT/current/systemd/sagnode.service" "$UNITS/sagnode.service"
+	else
+		install -m 0644 "$OPT"/current/systemd/sagnode* "$UNITS/"
+	fi
+	# A power cut must find the old release or the new one.
+	run sync -f "$OPT"
+	! systemd_runs || run systemctl daemon-reload
+}
+
+schema() { "$1/venv/bin/python" -c 'from sagnode.daemon.journal_file import SCHEMA_VERSION; print(SCHEMA_VERSION)'; }
+journal_files() { find "$STATE" -maxdepth 1 -name 'journal.sqlite*'; }
+
+# An old release does not read the journal of a later one: keep it as it was, until the new release has proved itself.
+keep_journal() {
+	journal_kept=
+	[ -n "$previous" ] && [ "$dry_run" = no ] || return 0
+	[ "$(schema "$release")" != "$(schema "$OPT/$previous")" ] || return 0
+	journal_kept=$STATE/journal-before-$version
+	say "the new release changes the journal's form: keeping a copy"
+	! systemd_runs || systemctl stop sagnode.service
+	rm -rf "$journal_kept"
+	install -d -m 0750 -o sagnode -g sagnode "$journal_kept"
+	journal_files | xargs -r cp -a --target-directory="$journal_kept"
+}
+
+put_journal_back() {
+	[ -n "$journal_kept" ] || return 0
+	systemctl stop sagnode.service || true
+	local aside
+	aside=$STATE/journal-of-$version-$(date -u +%Y%m%dT%H%M%SZ)
+	install -d -m 0750 -o sagnode -g sagnode "$aside"
+	journal_files | xargs -r mv --target-directory="$aside"
+	find "$journal_kept" -type f -exec mv --target-directory="$STATE" {} +
+	rmdir "$journal_kept"
+	say "the journal is as it was before; what the new release wrote is in $aside"
+}
+
+# Ready is what the service says of itself; staying so is what it shows.
+start() {
+	systemctl reset-failed sagnode.service 2>/dev/null || true
+	systemctl restart sagnode.service || return 1
+	local pid waited
+	pid=$(systemctl show --value -p MainPID sagnode.service)
+	for ((waited = 0; waited < SETTLE_S; waited++)); do
+		sleep 1
+		systemctl is-active --quiet sagnode.service || return 1
+		[ "$(systemctl show --value -p MainPID sagnode.service)" = "$pid" ] || return 1
+	done
+}
+
+start_or_go_back() {
+	if ! has_systemd; then
+		say "no systemd on this machine: the unit stands in $UNITS, nothing starts it"
+		return
+	fi
+	run systemctl --quiet enable sagnode.service
+	if ! systemd_runs; then
+		say "systemd is not running here: the service starts with the next boot"
+	elif [ "$configured" = yes ] && [ "$dry_run" = yes ]; then
+		run systemctl restart sagnode.service
+	elif [ "$configured" = yes ]; then
+		if start; then
+			say "the service runs: systemctl status sagnode"
+		else
+			journalctl --no-pager -o cat -u sagnode.service -n 10 >&2 || true
+			go_back
+		fi
+	fi
+}
+
+go_back() {
+	[ -n "$previous" ] || fail "the service does not start" "journalctl -u sagnode -n 50"
+	say "sagnode $version does not run (its words are above): putting ${previous#releases/} back"
+	systemctl stop sagnode.service || true
+	point_to "$previous"
+	put_journal_back
+	rm -rf "$release"
+	start || fail "${previous#releases/} is back, and does not run either" "journalctl -u sagnode -n 50"
+	fail "sagnode $version was not installed; ${previous#releases/} runs as before"
+}
+
+forget_old_releases() {
+	[ -z "${journal_kept:-}" ] || run rm -rf "$journal_kept"
 	local old
 	for old in "$OPT"/releases/*; do
 		[ -d "$old" ] || continue
@@ -148,48 +317,31 @@ switch_release() {
 	done
 }
 
-install_configuration() {
+rollback() {
+	needs_root --rollback
+	previous=$(readlink "$OPT/current" || true)
+	[ -n "$previous" ] || fail "nothing is installed in $OPT"
+	local other
+	other=$(find "$OPT/releases" -mindepth 1 -maxdepth 1 -type d ! -name "${previous##*/}" | head -n 1)
+	[ -n "$other" ] || fail "there is no release beside ${previous#releases/}"
+	release=$other version=${other##*/} journal_kept=
+	look_over "$release" || {
+		"$release/venv/bin/sagnode" doctor --config "$ETC" --skip camera --skip broker --skip system >&2 || true
+		fail "$version cannot work with what is here (above); nothing was changed"
+	}
 	configured=yes
-	if [ ! -e "$ETC/node.toml" ] && [ ! -e "$ETC/span.toml" ]; then
-		configured=no
-		say "writing an example configuration to $ETC"
-		run mkdir -p "$ETC"
-		run "$COMMAND" config init --out "$ETC" >/dev/null || fail "no example configuration could be written to $ETC"
-	elif ! run "$COMMAND" config check --config "$ETC" >/dev/null 2>&1; then
-		configured=no
-		say "WARNING: $ETC has faults; see: sagnode config check --config $ETC"
-	fi
-}
-
-install_unit() {
-	run mkdir -p "$(dirname "$UNIT")"
-	run install -m 0644 "$HERE/systemd/sagnode.service" "$UNIT"
-	for name in sagnode-reboot.path sagnode-reboot.service; do
-		run install -m 0644 "$HERE/systemd/$name" "$(dirname "$UNIT")/$name"
-	done
-	if ! command -v systemctl >/dev/null 2>&1; then
-		say "no systemd on this machine: the unit stands in $UNIT, nothing starts it"
-		return
-	fi
-	run systemctl --quiet enable sagnode.service
-	if ! systemd_runs; then
-		say "systemd is not running here: the service starts with the next boot"
-	elif [ "$configured" = yes ]; then
-		run systemctl daemon-reload
-		run systemctl restart sagnode.service || fail "the service does not start" "journalctl -u sagnode -n 50"
-		say "the service runs: systemctl status sagnode"
-	else
-		run systemctl daemon-reload
-	fi
+	point_to "releases/${release##*/}"
+	start_or_go_back
+	say "back to $version"
 }
 
 uninstall() {
-	[ "$dry_run" = yes ] || [ "$(id -u)" = 0 ] || fail "needs root" "sudo $0 --uninstall"
-	if command -v systemctl >/dev/null 2>&1 && [ -e "$UNIT" ]; then
+	needs_root --uninstall
+	if has_systemd && [ -e "$UNITS/sagnode.service" ]; then
 		! systemd_runs || run systemctl stop sagnode.service sagnode-reboot.path
 		run systemctl --quiet disable sagnode.service
 	fi
-	run rm -rf "$UNIT" "$UNIT.d" "${UNIT%.service}-reboot.path" "${UNIT%.service}-reboot.service" "$OPT"
+	run rm -rf "$UNITS"/sagnode.service "$UNITS"/sagnode-reboot.{path,service} "$UNITS"/sagnode.service.d "$OPT"
 	[ ! -L "$COMMAND" ] || run rm -f "$COMMAND"
 	! systemd_runs || run systemctl daemon-reload
 	if [ "$purge" = yes ]; then
@@ -204,6 +356,12 @@ uninstall() {
 while [ $# -gt 0 ]; do
 	case $1 in
 	--dry-run) dry_run=yes ;;
+	--from)
+		[ $# -gt 1 ] || fail "--from needs a package"
+		package=$2
+		shift
+		;;
+	--rollback) action=rollback ;;
 	--uninstall) action=uninstall ;;
 	--purge) purge=yes ;;
 	-h | --help)
@@ -219,8 +377,8 @@ while [ $# -gt 0 ]; do
 done
 [ "$purge" = no ] || [ "$action" = uninstall ] || fail "--purge goes with --uninstall"
 
-if [ "$action" = uninstall ]; then
-	uninstall
+if [ "$action" != install ]; then
+	"$action"
 	exit 0
 fi
 check_machine
@@ -228,10 +386,13 @@ install_system_packages
 make_user
 choose_release
 build_release
-switch_release
-install_configuration
-install_unit
+preflight
+trap - EXIT
+keep_journal
+point_to "releases/${release##*/}"
+start_or_go_back
+forget_old_releases
 if [ "$configured" = no ]; then
 	say "next: describe your span in $ETC/node.toml and $ETC/span.toml, then"
-	say "      sagnode config check --config $ETC && sudo systemctl restart sagnode"
+	say "      sudo sagnode doctor && sudo systemctl restart sagnode"
 fi

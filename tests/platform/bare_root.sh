@@ -4,10 +4,13 @@
 #
 #   tests/platform/bare_root.sh bookworm|trixie STEP...      WORK=/var/tmp/sagnode-roots  holds the roots
 #
+# ARCH=arm64 runs all of it as a Raspberry Pi's processor would, emulated (apt install qemu-user-static binfmt-support).
+#
 #   root       make the root anew
 #   test       make test, twice (the second must find everything made)
 #   demo       make demo, twice
 #   rootless   make demo as a user without sudo and without python3-venv
+#   deb        the package of "make deb": installed, a reading, upgraded, stepped back, removed, purged
 #   install    deploy/install.sh, again (an upgrade), --uninstall, --uninstall --purge
 #   picamera2  the picamera2 back end on the real Picamera2 and libcamera's virtual camera (trixie; +350 MB)
 #   boot       the same root booted with systemd: the service is started, looked at, killed, stopped
@@ -16,19 +19,28 @@ HERE=$(cd "$(dirname "$0")/../.." && pwd)
 WORK=${WORK:-/var/tmp/sagnode-roots}
 suite=${1:-}
 case $suite in bookworm | trixie) ;; *)
-	sed -n '2,13s/^# \{0,1\}//p' "$0"
+	sed -n '2,16s/^# \{0,1\}//p' "$0"
 	exit 2
 	;;
 esac
 shift
+MACHINE=$(dpkg --print-architecture)
+ARCH=${ARCH:-$MACHINE}
 ROOT=$WORK/$suite
+if [ "$ARCH" != "$MACHINE" ]; then
+	ROOT=$ROOT-$ARCH
+	# The core of the Pi 5: the default one, with every extension, is some twenty times slower on Debian 13.
+	export QEMU_CPU=cortex-a76
+	[ -e /proc/sys/fs/binfmt_misc/status ] || mount -t binfmt_misc none /proc/sys/fs/binfmt_misc
+	[ -e /proc/sys/fs/binfmt_misc/qemu-aarch64 ] || update-binfmts --enable qemu-aarch64
+fi
 MIRROR=$(awk '/^URIs:/ {print $2; exit}' /etc/apt/sources.list.d/debian.sources 2>/dev/null || true)
 MIRROR=${MIRROR:-http://deb.debian.org/debian}
 
 make_root() {
 	rm -rf --one-file-system "$ROOT" "$ROOT-systemd" "$ROOT-camera"
 	mkdir -p "$WORK"
-	mmdebstrap --quiet --variant=minbase --aptopt='Acquire::Languages "none"' --include=python3,git,make,ca-certificates \
+	mmdebstrap --quiet --variant=minbase --architectures="$ARCH" --aptopt='Acquire::Languages "none"' --include=python3,git,make,ca-certificates \
 		--dpkgopt='path-exclude=/usr/share/doc/*' --dpkgopt='path-exclude=/usr/share/man/*' \
 		"$suite" "$ROOT" "deb $MIRROR $suite main" "deb $MIRROR-security $suite-security main"
 	# pip brings its own certificates; a site with its own authority has them in the system's bundle.
@@ -41,9 +53,9 @@ make_root() {
 # in_root COMMAND: as root, or with AS=user as a user; the network is the machine's.
 in_root() {
 	systemd-nspawn --quiet --directory="${IN:-$ROOT}" --register=no --keep-unit --console=pipe --resolv-conf=copy-host \
-		--user="${AS:-root}" --setenv=PIP_CERT=/etc/ssl/certs/ca-certificates.crt \
+		--user="${AS:-root}" ${QEMU_CPU:+--setenv=QEMU_CPU="$QEMU_CPU"} --setenv=PIP_CERT=/etc/ssl/certs/ca-certificates.crt \
 		--setenv=SSL_CERT_FILE=/etc/ssl/certs/ca-certificates.crt ${PIP_INDEX_URL:+--setenv=PIP_INDEX_URL} \
-		bash -c "$1" </dev/null
+		bash -c "$1" </dev/null 2> >(grep -v 'Attempted to remove disk file system' >&2)
 }
 
 # A clone as a person has it: what is committed, and nothing else.
@@ -81,6 +93,26 @@ boot() {
 		--keep-unit --private-network --console=pipe systemd.wants=look.service </dev/null >"$WORK/boot.log" 2>&1 || true
 	cat "$ROOT-systemd/root/booted.log"
 	grep -q '^BOOTED FINE' "$ROOT-systemd/root/booted.log"
+}
+
+# The package of this suite and machine, and the same again with a higher version.
+run_deb() {
+	local package packages=$ROOT/packages
+	package=$(find "$HERE/build" -name "sagnode_*+deb*_$ARCH.deb" 2>/dev/null | grep -E "\+deb$([ "$suite" = bookworm ] && echo 12 || echo 13)_" || true)
+	[ -f "$package" ] || {
+		echo "no package for $suite $ARCH in $HERE/build: make deb"
+		return 1
+	}
+	rm -rf --one-file-system "$packages"
+	mkdir -p "$packages"
+	cp "$package" "$packages/sagnode.deb"
+	dpkg-deb -R "$package" "$packages/tree"
+	sed -i 's/^Version: .*/&+newer/' "$packages/tree/DEBIAN/control"
+	dpkg-deb --root-owner-group -Znone -b "$packages/tree" "$packages/newer.deb" >/dev/null
+	rm -rf --one-file-system "$packages/tree"
+	cp "$HERE/tests/platform/package.sh" "$packages/"
+	in_root 'bash /packages/package.sh' | tee "$packages/log"
+	grep -q '^PACKAGE FINE' "$packages/log"
 }
 
 run_picamera2() {
@@ -127,6 +159,7 @@ for step in "$@"; do
 		timed 'uninstall' in_root 'bash /home/sagnode-clone/deploy/install.sh --uninstall && ls /etc/sagnode && ! ls /opt/sagnode 2>/dev/null && ! command -v sagnode'
 		timed 'purge' in_root 'bash /home/sagnode-clone/deploy/install.sh --uninstall --purge && ! ls -d /etc/sagnode /var/lib/sagnode 2>/dev/null && ! id sagnode 2>/dev/null'
 		;;
+	deb) timed "package on $suite $ARCH" run_deb ;;
 	picamera2) timed 'picamera2 on a virtual camera' run_picamera2 ;;
 	boot) timed 'booted with systemd' boot ;;
 	*)

@@ -13,7 +13,8 @@ from packaging.requirements import Requirement
 
 ROOT = Path(__file__).parents[2]
 UNIT = ROOT / "systemd" / "sagnode.service"
-SCRIPTS = [ROOT / name for name in ("scripts/setup", "scripts/check", ".ci/run", "deploy/install.sh")]
+PLACES = ("scripts/setup", "scripts/check", ".ci/run", "deploy/install.sh", "tests/platform/*.sh", "deploy/debian/p*")
+SCRIPTS = sorted(path for place in PLACES for path in ROOT.glob(place))
 
 
 def ran(*words: str | Path, **environment: str) -> subprocess.CompletedProcess[str]:
@@ -67,7 +68,7 @@ def test_scripts_are_executable_and_parse(script: Path) -> None:
     shell = script.read_text().splitlines()[0].removeprefix("#!").split("/")[-1]
     assert ran(shell, "-n", script).returncode == 0
     if shutil.which("shellcheck"):
-        result = ran("shellcheck", script)
+        result = ran("shellcheck", "--severity=warning", script)
         assert result.returncode == 0, result.stdout
 
 
@@ -83,6 +84,20 @@ def test_constraints_lie_within_what_the_package_asks_for(suite: str) -> None:
         assert asked[pin.name.lower()].contains(lowest), pin
 
 
+@pytest.mark.parametrize("suite", ["bookworm", "trixie"])
+def test_the_lock_has_a_hash_for_everything_and_keeps_to_the_constraints(suite: str) -> None:
+    text = (ROOT / "deploy" / f"requirements-{suite}.txt").read_text().replace(" \\\n", " ")
+    entries = [line.split() for line in text.splitlines() if not line.startswith("#")]
+    locked = dict(entry[0].split("==") for entry in entries)
+    assert all(len(entry) > 1 and all(word.startswith("--hash=sha256:") for word in entry[1:]) for entry in entries)
+    # Two machines: what is compiled has a wheel for each.
+    assert all(len(entry) == 3 for entry in entries if entry[0].split("==")[0] in {"numpy", "opencv-python-headless"})
+    lines = (ROOT / "deploy" / f"constraints-{suite}.txt").read_text().splitlines()
+    asked = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["dependencies"]
+    for wanted in [Requirement(line) for line in [*lines, *asked] if not line.startswith("#")]:
+        assert wanted.specifier.contains(locked[wanted.name.lower()]), wanted
+
+
 def test_the_installer_says_beforehand_what_it_would_do_and_does_none_of_it() -> None:
     if not Path("/etc/debian_version").exists():
         pytest.skip("not a Debian machine")
@@ -96,7 +111,8 @@ def test_the_installer_says_beforehand_what_it_would_do_and_does_none_of_it() ->
     if "not supported" in result.stderr:
         pytest.skip(result.stderr.strip())
     assert result.returncode == 0, result.stderr
-    for what in ["python3 -m venv", "constraints-", "/usr/local/bin/sagnode", "/etc/systemd/system/sagnode.service"]:
+    unit = "/etc/systemd/system/sagnode.service"
+    for what in ["python3 -m venv", "--require-hashes", "/usr/local/bin/sagnode", unit]:
         assert what in result.stdout
     assert standing() == before
 

@@ -1,0 +1,140 @@
+#!/bin/bash
+# A virtual machine with Debian 13's own kernel, for what a container cannot have: /dev/video* from the kernel's vivid and
+# v4l2loopback drivers, a hardware watchdog, a cold boot. Software emulation (no KVM needed): slow, and right.
+#
+#   tests/platform/vm.sh root            $WORK/trixie-vm: the bare root, a kernel, v4l2loopback, and the package
+#   tests/platform/vm.sh image           that root as a disk; again after every change of the root
+#   tests/platform/vm.sh run JOB...      boots a throw-away copy; runs each script of tests/platform in it, as root
+#
+# Needs bare_root.sh trixie root, build/sagnode_*trixie*.deb (make deb) and, on Debian: apt install qemu-system-x86
+# systemd-container busybox-static cpio e2fsprogs
+set -euo pipefail
+HERE=$(cd "$(dirname "$0")/../.." && pwd)
+WORK=${WORK:-/var/tmp/sagnode-roots}
+ROOT=$WORK/trixie-vm
+DISK=$WORK/vm.ext4
+KERNEL=$WORK/vm-kernel
+INITRD=$WORK/vm-initrd
+LIMIT_S=${LIMIT_S:-900}
+
+in_root() {
+	systemd-nspawn --quiet --directory="$ROOT" --register=no --keep-unit --console=pipe --resolv-conf=copy-host \
+		--setenv=PIP_CERT=/etc/ssl/certs/ca-certificates.crt ${PIP_INDEX_URL:+--setenv=PIP_INDEX_URL} \
+		--bind-ro="$HERE":/checkout bash -euo pipefail -c "$1" </dev/null
+}
+
+make_root() {
+	[ -d "$WORK/trixie" ] || {
+		echo "no $WORK/trixie: tests/platform/bare_root.sh trixie root" >&2
+		exit 1
+	}
+	rm -rf --one-file-system "$ROOT"
+	cp -a --reflink=auto "$WORK/trixie" "$ROOT"
+	# v4l2loopback is built for the kernel that is installed beside it; its compiler goes away again.
+	in_root 'export DEBIAN_FRONTEND=noninteractive
+		apt-get update -qq
+		apt-get install -y -qq --no-install-recommends systemd systemd-sysv dbus udev kmod procps iproute2 v4l-utils mosquitto \
+			mosquitto-clients linux-image-amd64 linux-headers-amd64 v4l2loopback-dkms >/dev/null
+		dkms status
+		mkdir -p /root/kept && cp -a /lib/modules/*/updates /root/kept/
+		apt-get purge -y -qq v4l2loopback-dkms dkms linux-headers-amd64 >/dev/null
+		apt-get autoremove -y -qq --purge >/dev/null
+		cp -a /root/kept/updates /lib/modules/*/ && rm -r /root/kept
+		depmod "$(ls /lib/modules)"
+		modinfo -k "$(ls /lib/modules)" -F version v4l2loopback
+		apt-get clean; rm -rf /var/lib/apt/lists/*
+		systemctl mask --quiet getty@.service serial-getty@.service systemd-logind.service apt-daily.timer \
+			apt-daily-upgrade.timer fstrim.timer dpkg-db-backup.timer e2scrub_all.timer
+		systemctl disable --quiet mosquitto'
+	: >"$ROOT/etc/fstab"
+	cat >"$ROOT/etc/systemd/system/job.service" <<-'U'
+		[Unit]
+		Description=Jobs of tests/platform/vm.sh
+		[Service]
+		ExecStart=/bin/bash /usr/local/sbin/job
+	U
+	cat >"$ROOT/usr/local/sbin/job" <<-'J'
+		mkdir -p /mnt
+		modprobe -a 9p 9pnet_virtio
+		mount -t 9p -o trans=virtio,version=9p2000.L,msize=524288,cache=loose share /mnt
+		exec >/mnt/out.log 2>&1
+		ip link set lo up
+		rc=0
+		while read -r job; do
+			echo "=== $job, up $(cut -d' ' -f1 /proc/uptime) s"
+			case $job in *.py) /opt/sagnode/current/venv/bin/python "/mnt/platform/$job" ;; *) bash "/mnt/platform/$job" ;; esac || rc=1
+			echo "=== $job over, up $(cut -d' ' -f1 /proc/uptime) s"
+		done </mnt/jobs
+		echo "JOBS RC $rc"
+		sync
+		systemctl poweroff -ff
+	J
+	du -sm "$ROOT"
+}
+
+make_image() {
+	local modules=$WORK/vm-initrd.d kernel_version module n=10
+	kernel_version=$(ls "$ROOT/usr/lib/modules")
+	rm -rf --one-file-system "$modules"
+	mkdir -p "$modules"/{bin,dev,proc,root,m}
+	cp "$(command -v busybox)" "$modules/bin/"
+	in_root "modprobe -S $kernel_version --show-depends -a virtio_blk virtio_pci ext4" | awk '/^insmod/ && !seen[$2]++ {print $2}' |
+		while read -r module; do
+			xz -dc "$ROOT$module" >"$modules/m/$n.ko" 2>/dev/null || cp "$ROOT$module" "$modules/m/$n.ko"
+			n=$((n + 1))
+		done
+	cat >"$modules/init" <<-'I'
+		#!/bin/busybox sh
+		/bin/busybox mount -t proc proc /proc
+		/bin/busybox mount -t devtmpfs dev /dev
+		for m in /m/*.ko; do /bin/busybox insmod "$m" 2>/dev/null; done
+		while [ ! -b /dev/vda ]; do /bin/busybox sleep 0.1; done
+		/bin/busybox mount -t ext4 /dev/vda /root
+		/bin/busybox mount --move /dev /root/dev
+		/bin/busybox umount /proc
+		exec /bin/busybox switch_root /root /lib/systemd/systemd
+	I
+	chmod +x "$modules/init"
+	(cd "$modules" && find . | cpio --quiet -o -H newc | gzip -1) >"$INITRD"
+	cp "$ROOT"/boot/vmlinuz-* "$KERNEL"
+	# As if made just now: without this systemd rebuilds its caches at the first boot of every throw-away copy.
+	printf 'x\nTIMESTAMP_NSEC=%s000000000\n' "$(($(date +%s) + 60))" | tee "$ROOT/etc/.updated" >"$ROOT/var/.updated"
+	rm -f "$DISK"
+	nice mke2fs -q -F -t ext4 -d "$ROOT" "$DISK" 5G
+	ls -l --block-size=M "$DISK" "$INITRD" "$KERNEL"
+}
+
+run_jobs() {
+	local share=$WORK/vm-share began
+	[ -f "$DISK" ] || {
+		echo "no $DISK: tests/platform/vm.sh root image" >&2
+		exit 1
+	}
+	rm -rf --one-file-system "$share"
+	mkdir -p "$share/platform"
+	cp -r "$HERE"/tests/platform/. "$share/platform/"
+	cp -r "$HERE/src/sagnode/demo/site" "$share/site"
+	printf '%s\n' "$@" >"$share/jobs"
+	began=$(date +%s)
+	nice -n 15 timeout "$LIMIT_S" qemu-system-x86_64 -accel tcg,thread=multi,tb-size=512 -cpu max,-la57 -M q35 -m 2048 -smp 2 \
+		-nographic -no-reboot -nodefaults -serial stdio -kernel "$KERNEL" -initrd "$INITRD" \
+		-append 'console=ttyS0 quiet panic=-1 mitigations=off rw systemd.wants=job.service' \
+		-drive "file=$DISK,format=raw,if=virtio,cache=unsafe,snapshot=on" -device i6300esb -watchdog-action reset \
+		-virtfs "local,path=$share,mount_tag=share,security_model=none" </dev/null >"$WORK/vm.log" 2>&1 || true
+	cat "$share/out.log" || tail -n 40 "$WORK/vm.log"
+	printf 'virtual machine: %s s in all\n' "$(($(date +%s) - began))"
+	grep -q '^JOBS RC 0' "$share/out.log"
+}
+
+case ${1:-} in
+root) make_root ;;
+image) make_image ;;
+run)
+	shift
+	run_jobs "$@"
+	;;
+*)
+	sed -n '2,11s/^# \{0,1\}//p' "$0"
+	exit 2
+	;;
+esac
