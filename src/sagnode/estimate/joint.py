@@ -279,10 +279,46 @@ def solve(
         inflation=inflation,
         misfit=_misfit(residual, noise, correlated, theta, known, target),
         converged=converged,
-        jacobian=np.where(np.isin(np.arange(SIZE), free), jacobian, 0.0),
+        jacobian=jacobian,
         noise=(noise, correlated),
         camera=camera,
     )
+
+
+def unevenness(solution: Solution, survey: Survey, load_u: float) -> float:
+    """How much an even solution's residuals ask for an uneven load: what its terms would take off the misfit.
+
+    One Gauss-Newton step in the terms, all other unknowns following, without solving anew. The correlated error is
+    taken at half its usual size: what makes an interval wide enough would hide half of the uneven loads.
+    """
+    free = survey.unknowns()
+    white, correlated = solution.noise
+    own, others = solution.jacobian[:, LOAD], solution.jacobian[:, free]
+    solved = np.linalg.solve(np.diag(white) + correlated / 4, np.column_stack([own, others, solution.residual]))
+    of_own, of_others = solved[:, : own.shape[1]], solved[:, own.shape[1] : -1]
+    known = np.diag(1 / survey.prior_sigma()[free] ** 2)
+    known[CAMERA, CAMERA] += solution.camera.precision
+    # what the other unknowns can follow is no evidence
+    follow = np.linalg.solve(
+        others.T @ of_others + known, np.column_stack([others.T @ of_own, of_others.T @ solution.residual])
+    )
+    information = own.T @ of_own - own.T @ of_others @ follow[:, :-1] + np.eye(own.shape[1]) / load_u**2
+    pull = of_own.T @ solution.residual - own.T @ of_others @ follow[:, -1]
+    return float(pull @ np.linalg.solve(information, pull))
+
+
+def log_odds(rich: Solution, rich_survey: Survey, simple: Solution, simple_survey: Survey) -> float:
+    """Logarithm of the odds of one explanation of the same offsets over a simpler one (Laplace's approximation)."""
+
+    def half(solution: Solution, survey: Survey) -> float:
+        free = survey.unknowns()
+        white, correlated = solution.noise
+        _, spread = np.linalg.slogdet(np.diag(white) + correlated)
+        # how much of what was possible before looking is left after it: what freedom costs
+        left = np.linalg.slogdet(solution.covariance[np.ix_(free, free)] / np.outer(*2 * [survey.prior_sigma()[free]]))
+        return float(0.5 * left[1] - 0.5 * (solution.misfit / rich.inflation + spread))
+
+    return half(rich, rich_survey) - half(simple, simple_survey)
 
 
 def _misfit(

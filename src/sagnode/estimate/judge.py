@@ -9,6 +9,7 @@ from sagnode.estimate.locate import Matched, attachment_z, support, visible_shar
 from sagnode.message import Estimate
 from sagnode.quality import Cause, Reason, Validity
 from sagnode.site import Site, SiteConductor
+from sagnode.survey import LOAD
 
 DARK_LEVEL = 12.0
 """Grey level below which even the brightest hundredth of the picture shows nothing."""
@@ -105,11 +106,25 @@ def _not_certain(found: Matched) -> list[Reason]:
     reasons = []
     if not found.solution.converged:
         reasons.append(Reason(Cause.NOT_CONVERGED, "the joint estimate of camera and conductor did not settle"))
+    if found.doubtful_load:
+        text = "the wire hangs as under an uneven load, ice or a weight on a part of the span, that cannot be followed"
+        reasons.append(Reason(Cause.ICE_SUSPECT, text))
     sag, sag_u = found.sag
     if sag_u > SAG_U_MAX * sag:
         text = f"standard uncertainty of sag is {100 * sag_u / sag:.0f} % of it; the view or the survey is too weak"
-        reasons.append(Reason(Cause.UNCERTAIN, text))
+        reasons += [Reason(Cause.UNCERTAIN, text), *_ice(found)]
     return reasons
+
+
+def _ice(found: Matched) -> list[Reason]:
+    if not found.survey.load_u:
+        return []
+    skew, u = float(found.solution.theta[LOAD.start]), float(np.sqrt(found.solution.covariance[LOAD.start, LOAD.start]))
+    text = (
+        "the wire hangs, or may hang, as under an uneven load, ice or a weight on a part of the span:"
+        f" load skew {skew:+.2f} ± {2 * u:.2f} (0 is even)"
+    )
+    return [Reason(Cause.ICE_SUSPECT, text)]
 
 
 def _doubts(site: Site, found: Matched) -> list[Reason]:
@@ -121,6 +136,7 @@ def _doubts(site: Site, found: Matched) -> list[Reason]:
     if visible < VISIBLE_GOOD:
         text = f"only {100 * visible:.0f} % of the span is visible (good from {100 * VISIBLE_GOOD:g} %)"
         reasons.append(Reason(Cause.TOO_LITTLE_VISIBLE, text))
+    reasons += _ice(found)
     swing, swing_u = found.swing
     if abs(swing) - 2 * swing_u > site.swing_questionable:
         reasons.append(Reason(Cause.WIND_SWING, f"the conductor is swung by {np.degrees(swing):.0f}°"))

@@ -8,15 +8,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sagnode.capture.port import GreyImage
-from sagnode.estimate.joint import CurveObservations, Solution, solve
+from sagnode.estimate.joint import CurveObservations, Solution, log_odds, solve, unevenness
 from sagnode.estimate.register import Registered, moved_survey
 from sagnode.geometry.camera import FloatArray
 from sagnode.match.refine import Observed, Sighting, Track, observe, runs_near, sight, trace
 from sagnode.match.ribbon import SIDE_OFFSET_PX, normals, pair_response
-from sagnode.match.search import search
+from sagnode.match.search import Candidate, search
 from sagnode.match.templates import SAMPLES, STEP_PX, View, even_parameters
 from sagnode.site import Site, SiteConductor
-from sagnode.survey import ATTACHMENTS, SAG, SWING, Survey
+from sagnode.survey import ATTACHMENTS, LOAD, SAG, SWING, Survey
 
 
 @dataclass(frozen=True)
@@ -42,6 +42,28 @@ VALLEY_NODES = 9
 """Curves along the valley that are projected; the others between them are interpolated."""
 MOST_COMPARED = 400
 """Points of a curve from which its distance to another is taken."""
+LOAD_U = 0.3
+"""Standard uncertainty of each term of an uneven load, where the picture asks for one: ice on half of the span with
+half of the conductor's own weight is a first term of 0.3."""
+SUSPECT_SUPPORT = 0.6
+SUSPECT_SHARE = 0.35
+"""Where less of an even curve, or of the span, shows a wire, the wire may hang unevenly, and that is tried."""
+EVEN_ODDS = -2.0
+"""Logarithm of the odds of an uneven over an even load above which the load is not taken for even.
+
+Seen along the line, a swung even span and an unswung uneven one can look alike over the part that is clear. What the
+picture does not decide, the wider uncertainty of the uneven load must carry.
+"""
+SUSPECT_ODDS = -20.0
+"""The same where there is a reason to doubt that the load is even: UNEVENNESS, or a swing apart from the others'."""
+UNEVENNESS = 4.5
+"""Misfit that an uneven load would take off; evenly loaded wires rarely give half of this."""
+SWING_APART = (np.radians(1.5), 0.15, 4.0)
+"""Swings differ more than wind explains: this angle, this share of their mean and this many of their uncertainties."""
+FOLLOWING = 4
+"""Rounds of the first refinement in which an uneven curve grows along the wire."""
+TILTS = (-0.6, -0.3, 0.3, 0.6)
+"""First terms of an uneven load that are searched where no even curve is found."""
 RIVAL_APART_PX = 3.0
 RIVAL_MIN_PX = 16
 RIVAL_WORTH_A_LOOK = 0.6
@@ -61,11 +83,15 @@ class Matched:
     view: View
     track: Track
     observed: Observed
+    offsets: CurveObservations
+    """The usable blocks of ``observed``, as they were solved for."""
     response: float
     """Mean response along the curve, half by length in the picture and half by length of the span, grey levels."""
     sighting: Sighting = NOT_LOOKED_AT
     rival: float = 0.0
     """Response of the best different curve over this one's where the two part; 0 if there is none."""
+    doubtful_load: bool = False
+    """The wire seems to hang unevenly, and no uneven load was found that follows it."""
 
     @property
     def sag(self) -> tuple[float, float]:
@@ -85,6 +111,10 @@ def locate(site: Site, image: GreyImage, registered: Registered) -> dict[str, Ma
     another are refined once more with the others' curves masked, so that a neighbour cannot pull them.
     """
     alone = {c.id: _find(image, c, registered) for c in site.conductors}
+    for conductor in site.conductors:
+        match = alone[conductor.id]
+        if match is not None and conductor.measured and _hangs_apart(match, [m for m in alone.values() if m]):
+            alone[conductor.id] = _even_or_not(image, conductor, registered, match, SUSPECT_ODDS)
     curves = {name: m.track.pixels for name, m in alone.items() if m is not None}
     found: dict[str, Matched] = {}
     for conductor in site.conductors:
@@ -93,10 +123,10 @@ def locate(site: Site, image: GreyImage, registered: Registered) -> dict[str, Ma
             continue
         others = [pixels for name, pixels in curves.items() if name != conductor.id]
         if runs_near(first.track, others, STAGES[-1].half_range_px):
-            masked = _refine(image, conductor, registered, first.solution.theta, others, STAGES[1:])
+            masked = _refine(image, conductor, first.survey, registered, first.solution.theta, others, STAGES[1:])
             first = None if masked is None else replace(masked, rival=first.rival)
         if first is not None:
-            found[conductor.id] = replace(first, sighting=sight(image, first.track))
+            found[conductor.id] = first if first.sighting is not NOT_LOOKED_AT else _looked_at(image, first)
     return found
 
 
@@ -108,12 +138,82 @@ def _survey(conductor: SiteConductor, registered: Registered) -> Survey:
 def _view(survey: Survey, conductor: SiteConductor, theta: FloatArray) -> View:
     intrinsics, pose = survey.camera(theta)
     shape = survey.shape(theta)
-    return View(intrinsics, pose, shape.near, shape.far, conductor.width)
+    load = tuple(float(term) for term in theta[LOAD]) if survey.load_u > 0 else ()
+    return View(intrinsics, pose, shape.near, shape.far, conductor.width, load)
 
 
 def _find(image: GreyImage, conductor: SiteConductor, registered: Registered) -> Matched | None:
-    """Coarse search, refinement of the best candidates, and a search along what the best one leaves open."""
+    """A conductor alone: hanging evenly, or, where the picture asks for it, with ice or a weight on a part of it."""
     survey = _survey(conductor, registered)
+    even = _find_even(image, conductor, survey, registered)
+    if not conductor.measured:
+        return even
+    if even is not None:
+        even = _looked_at(image, even)
+        if unevenness(even.solution, survey, LOAD_U) > UNEVENNESS:
+            return _even_or_not(image, conductor, registered, even, SUSPECT_ODDS)
+        if support(even) > SUSPECT_SUPPORT and visible_share(even) > SUSPECT_SHARE:
+            return even
+    return _even_or_not(image, conductor, registered, even, EVEN_ODDS)
+
+
+def _looked_at(image: GreyImage, match: Matched) -> Matched:
+    return replace(match, sighting=sight(image, match.track))
+
+
+def _hangs_apart(match: Matched, all_matches: list[Matched]) -> bool:
+    """Whether an evenly loaded conductor's swing differs from the others' by more than wind explains."""
+    others = [other.swing for other in all_matches if other is not match and not other.survey.load_u]
+    if match.survey.load_u or not others:
+        return False
+    middle = float(np.median([swing for swing, _ in others]))
+    swing, u = match.swing
+    angle, share, sigmas = SWING_APART
+    limit = angle + share * 0.5 * abs(swing + middle) + sigmas * np.hypot(u, np.median([v for _, v in others]))
+    return bool(abs(swing - middle) > limit)
+
+
+def _even_or_not(
+    image: GreyImage, conductor: SiteConductor, registered: Registered, even: Matched | None, least_odds: float
+) -> Matched | None:
+    """The conductor under an uneven load if its odds over the even one exceed ``least_odds``, else the even one.
+
+    From the part of an even curve that lies on the wire the terms of the load follow it along, round by round; where
+    there is no such part, curves are searched whose load rises or falls along the span.
+    """
+    plain = _survey(conductor, registered)
+    survey = replace(plain, load_u=LOAD_U)
+    if even is not None:
+        start = even.solution.theta.copy()
+    else:
+        tilted = [(tilt, _tilted(image, conductor, survey, registered, tilt)) for tilt in TILTS]
+        tilt, best = max(tilted, key=lambda pair: -np.inf if pair[1] is None else pair[1].score)
+        if best is None:
+            return None
+        start = registered.theta.copy()
+        start[SAG], start[SWING], start[LOAD.start] = best.sag, best.swing, tilt
+    found = _refine(image, conductor, survey, registered, start, [], FOLLOWING * STAGES[:1] + STAGES[1:])
+    if even is None:
+        return found
+    if found is None:
+        return replace(even, doubtful_load=least_odds == SUSPECT_ODDS)
+    # both explanations of the same offsets; an even load that sees little of the wire must not choose what to explain
+    simple = solve(plain, even.solution.theta, registered.camera, found.offsets, STAGES[-1].iterations)
+    odds = log_odds(found.solution, survey, simple, plain)
+    return replace(found, rival=even.rival) if odds > least_odds else even
+
+
+def _tilted(
+    image: GreyImage, conductor: SiteConductor, survey: Survey, registered: Registered, tilt: float
+) -> Candidate | None:
+    """Best curve of the coarse search among those whose load rises along the span by ``tilt``."""
+    view = replace(_view(survey, conductor, registered.theta), load=(tilt,))
+    found = search(image, view, survey.sag_range, conductor.swing_max, survey.swing_u, survey.attachment_u, 1)
+    return found[0] if found else None
+
+
+def _find_even(image: GreyImage, conductor: SiteConductor, survey: Survey, registered: Registered) -> Matched | None:
+    """Coarse search, refinement of the best candidates, and a search along what the best one leaves open."""
     view = _view(survey, conductor, registered.theta)
     candidates = search(
         image, view, survey.sag_range, conductor.swing_max, survey.swing_u, survey.attachment_u, CANDIDATES
@@ -125,7 +225,7 @@ def _find(image: GreyImage, conductor: SiteConductor, registered: Registered) ->
         start = registered.theta.copy()
         start[ATTACHMENTS] = 0.0
         start[SAG], start[SWING] = candidate.sag, candidate.swing
-        results += filter(None, [_refine(image, conductor, registered, start, [], STAGES[:1])])
+        results += filter(None, [_refine(image, conductor, survey, registered, start, [], STAGES[:1])])
     if not results:
         return None
     results.sort(key=_merit, reverse=True)
@@ -135,7 +235,7 @@ def _find(image: GreyImage, conductor: SiteConductor, registered: Registered) ->
     # what is left open by the clear part of the best one, and other candidates that are nearly as good
     starts = [results[0].solution.theta, *_along_the_valley(image, results[0], conductor)]
     starts += [r.solution.theta for r in results[1:] if _rivalry(image, results[0], r) > RIVAL_WORTH_A_LOOK]
-    refined = [_refine(image, conductor, registered, start, [], STAGES[1:]) for start in starts]
+    refined = [_refine(image, conductor, survey, registered, start, [], STAGES[1:]) for start in starts]
     finals = sorted(filter(None, refined), key=_merit, reverse=True)
     if not finals:
         return None
@@ -144,7 +244,7 @@ def _find(image: GreyImage, conductor: SiteConductor, registered: Registered) ->
 
 
 def _along_the_valley(image: GreyImage, found: Matched, conductor: SiteConductor) -> list[FloatArray]:
-    """Better starts θ (18,) along the direction of sag and swing that the wire seen so far leaves open.
+    """Better starts θ (24,) along the direction of sag and swing that the wire seen so far leaves open.
 
     Seen along the line, the near half of a span fixes one combination of sag and swing, and a refinement that began
     too far off may never see the far half. The posterior knows that: it is long in one direction. Curves along that
@@ -237,15 +337,16 @@ def _response(image: GreyImage, pixels: FloatArray, width: FloatArray) -> FloatA
 def _refine(
     image: GreyImage,
     conductor: SiteConductor,
+    survey: Survey,
     registered: Registered,
     theta: FloatArray,
     others: list[FloatArray],
     stages: tuple[Stage, ...],
 ) -> Matched | None:
     """Measure across the curve, solve jointly, and again about the new curve, looking ever closer."""
-    survey = _survey(conductor, registered)
     solution: Solution | None = None
     observed: Observed | None = None
+    offsets: CurveObservations | None = None
     for stage in stages:
         view = _view(survey, conductor, theta)
         curve = trace(view, float(theta[SAG]), float(theta[SWING]))
@@ -265,13 +366,14 @@ def _refine(
         )
         solution = solve(survey, theta, registered.camera, offsets, stage.iterations)
         theta = solution.theta
-    if solution is None or observed is None:
+    if solution is None or observed is None or offsets is None:
         return None
     view = _view(survey, conductor, theta)
     curve = trace(view, float(theta[SAG]), float(theta[SWING]))
     if curve is None:
         return None
-    return Matched(survey, solution, view, curve, observed, _mixed_response(image, view, solution))
+    response = _mixed_response(image, view, solution)
+    return Matched(survey, solution, view, curve, observed, offsets, response)
 
 
 def _mixed_response(image: GreyImage, view: View, solution: Solution) -> float:
