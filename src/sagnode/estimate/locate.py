@@ -48,14 +48,14 @@ half of the conductor's own weight is a first term of 0.3."""
 SUSPECT_SUPPORT = 0.6
 SUSPECT_SHARE = 0.35
 """Where less of an even curve, or of the span, shows a wire, the wire may hang unevenly, and that is tried."""
-EVEN_ODDS = -2.0
-"""Logarithm of the odds of an uneven over an even load above which the load is not taken for even.
+EVEN_ODDS = 2.0
+"""Logarithm of the odds of an uneven over an even load above which the load is not taken for even."""
+SUSPECT_ODDS = -20.0
+"""The same where there is a reason to doubt that the load is even: UNEVENNESS, or a swing apart from the others'.
 
 Seen along the line, a swung even span and an unswung uneven one can look alike over the part that is clear. What the
 picture does not decide, the wider uncertainty of the uneven load must carry.
 """
-SUSPECT_ODDS = -20.0
-"""The same where there is a reason to doubt that the load is even: UNEVENNESS, or a swing apart from the others'."""
 UNEVENNESS = 4.5
 """Misfit that an uneven load would take off; evenly loaded wires rarely give half of this."""
 SWING_APART = (np.radians(1.5), 0.15, 4.0)
