@@ -60,19 +60,20 @@ class Site:
     calibration_id: str
 
 
-def load_site(span: Span, measure: Measure | None = None) -> Site:
+def load_site(span: Span, measure: Measure | None = None, lens: Intrinsics | None = None) -> Site:
     """Read the files that a survey names and prepare it for measuring.
 
     Args:
         span: the survey, its paths absolute (as :func:`sagnode.config.load.load_node` gives it).
         measure: method and whether the lens distortion is undone; sagnode's own by default.
+        lens: instead of the calibration file that the survey names, for one that is still to be bought.
 
     Raises:
         ConfigError: the calibration or the reference picture cannot be used.
     """
     measure = measure or Measure()
     camera = span.camera
-    calibrated = load_intrinsics(camera.intrinsics)
+    calibrated = load_intrinsics(camera.intrinsics) if lens is None else lens
     intrinsics = calibrated if measure.undistort else calibrated.without_distortion()
     pose = Pose(
         rotation_from_angles(camera.azimuth_deg, camera.elevation_deg, camera.roll_deg), np.array(camera.position)

@@ -46,6 +46,7 @@ COMMANDS: tuple[tuple[str, tuple[tuple[str, str], ...]], ...] = (
     (
         "Set one up",
         (
+            ("plan", "what accuracy a camera, a lens and a place would give, before anyone climbs"),
             ("config", "write, check and show the configuration"),
             ("calibrate", "intrinsics of a camera from pictures of a calibration board"),
             ("capture", "take pictures with the configured camera"),

@@ -123,7 +123,7 @@ def load_node(path: Path) -> LoadedNode:
             f"{path} is a span file, and this needs the node file that names it",
             f"give the path of a file with [unit], span_file, [camera] and [schedule]; {_INIT}",
         )
-    raise _refusal(path, examined.faults)
+    raise refusal(path, examined.faults)
 
 
 def load_span(path: Path) -> LoadedSpan:
@@ -135,10 +135,10 @@ def load_span(path: Path) -> LoadedSpan:
     Raises:
         ConfigError: with every fault.
     """
-    document = read_document(_file_in(path, SPAN_FILE))
+    document = read_document(file_in(path, SPAN_FILE))
     loaded = _examine_span(document)
     if loaded is None:
-        raise _refusal(path, document.faults)
+        raise refusal(path, document.faults)
     return loaded
 
 
@@ -153,14 +153,14 @@ def load_any(path: Path) -> LoadedNode | LoadedSpan:
     """
     examined = examine(path)
     if examined.loaded is None:
-        raise _refusal(path, examined.faults)
+        raise refusal(path, examined.faults)
     return examined.loaded
 
 
 def examine(path: Path) -> Examined:
     """Read a node file with its span, or a span file alone, and tell every fault instead of raising."""
-    document = read_document(_file_in(path, NODE_FILE, SPAN_FILE))
-    if document.data is not None and _is_span(document.data):
+    document = read_document(file_in(path, NODE_FILE, SPAN_FILE))
+    if document.data is not None and is_span(document.data):
         return Examined(_examine_span(document), (document,))
     node = validate(document, Node, _node_contradictions)
     span_name = (document.data or {}).get("span_file")
@@ -184,13 +184,14 @@ def examine(path: Path) -> Examined:
 _INIT = "'sagnode config init' writes files to start from"
 
 
-def _refusal(path: Path, faults: Iterable[Fault]) -> ConfigError:
+def refusal(path: Path, faults: Iterable[Fault]) -> ConfigError:
+    """The error that tells every fault of a configuration."""
     sentences = tuple(str(fault) for fault in faults)
     what = sentences[0] if len(sentences) == 1 else f"{len(sentences)} faults in the configuration {path}"
     return ConfigError(what, f"mend this, then look again with: sagnode config check --config {path}", sentences)
 
 
-def _file_in(path: Path, *names: str) -> Path:
+def file_in(path: Path, *names: str) -> Path:
     """The file that a path means, absolute: itself, or the first of the names that is in that directory."""
     # os.path and not Path's methods: names stay the user's (resolve() follows links), and a directory that may not be
     # looked into is no exception here but a fault when the file is read.
@@ -200,20 +201,20 @@ def _file_in(path: Path, *names: str) -> Path:
     return next((absolute / name for name in names if os.path.isfile(absolute / name)), absolute / names[0])  # noqa: PTH113
 
 
-def _is_span(data: dict[str, Any]) -> bool:
+def is_span(data: dict[str, Any]) -> bool:
     """Whether these are a span file's keys rather than a node file's."""
     return len(data.keys() & Span.model_fields.keys()) > len(data.keys() & Node.model_fields.keys())
 
 
 def _examine_span(document: Document) -> LoadedSpan | None:
-    span = validate(document, Span, _span_contradictions)
+    span = validate(document, Span, span_contradictions)
     camera = (document.data or {}).get("camera")
     contents = list(_file_contents(document, camera)) if isinstance(camera, dict) else []
     document.faults.sort(key=lambda fault: fault.line or 0)
     if span is None or document.faults:
         return None
     digest = _digest([_effective(span), *contents])
-    return LoadedSpan(_resolved_span(span, document.path.parent), document.path, digest)
+    return LoadedSpan(resolved_span(span, document.path.parent), document.path, digest)
 
 
 def _file_contents(document: Document, camera: dict[str, Any]) -> Iterator[bytes]:
@@ -237,7 +238,8 @@ def _node_contradictions(data: dict[str, Any]) -> Iterable[tuple[str, str]]:
     )
 
 
-def _span_contradictions(data: dict[str, Any]) -> Iterable[tuple[str, str]]:
+def span_contradictions(data: dict[str, Any]) -> Iterable[tuple[str, str]]:
+    """Contradictions between a span file's tables, those at fault left out."""
     ground = data.get("ground")
     return span_model.inconsistencies(
         salvage_list(span_model.Conductor, data.get("conductors")),
@@ -263,7 +265,8 @@ def _digest(parts: Iterable[bytes]) -> str:
     return digest.hexdigest()[:12]
 
 
-def _resolved_span(span: Span, base: Path) -> Span:
+def resolved_span(span: Span, base: Path) -> Span:
+    """The span with its files as paths below ``base``."""
     camera = span.camera
     files = {
         "intrinsics": base / camera.intrinsics,

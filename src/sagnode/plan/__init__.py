@@ -1,0 +1,1 @@
+"""Planning: what accuracy a camera, a lens and a place will give, before anyone climbs."""

@@ -1,0 +1,149 @@
+"""``sagnode plan``: from a half-finished span file to a verdict, a table, a picture; errors with a remedy."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import cv2
+import pytest
+
+from sagnode.cli.main import main
+from sagnode.config.show import toml_text
+from sagnode.scene.presets import simple_scene
+
+Capture = pytest.CaptureFixture[str]
+SENSOR = "640x480x3.45"
+LENS = ("--sensor", SENSOR, "--focal", "2.5")
+
+
+def tables() -> dict[str, Any]:
+    """A survey before anybody has climbed: no clicks, no calibration, no picture."""
+    span = simple_scene()[0].surveyed
+    document: dict[str, Any] = json.loads(span.model_dump_json(exclude_none=True, exclude_defaults=True))
+    for landmark in document["landmarks"]:
+        del landmark["pixel"]
+    document["camera"].pop("intrinsics", None)
+    return document
+
+
+@pytest.fixture
+def span_file(tmp_path: Path) -> Path:
+    return write(tmp_path, tables())
+
+
+def write(directory: Path, document: dict[str, Any]) -> Path:
+    file = directory / "span.toml"
+    file.write_text(toml_text(document))
+    return file
+
+
+def plan(capsys: Capture, *words: str | Path) -> tuple[int, str, str]:
+    capsys.readouterr()
+    code = main(["plan", "--backdrop", "plain", *map(str, words)])
+    said = capsys.readouterr()
+    return code, said.out, said.err
+
+
+def test_a_span_that_nobody_has_climbed_for_is_planned(span_file: Path, tmp_path: Path, capsys: Capture) -> None:
+    picture = tmp_path / "drawn" / "view.png"
+    code, out, _ = plan(capsys, "--config", span_file, *LENS, "--picture", picture)
+    assert code == 0
+    assert "not yet:" in out
+    assert "landmarks[0].pixel: not clicked yet" in out
+    assert "2.5 mm, f = 725 px" in out
+    assert "6 landmarks in view" in out
+    assert out.count("(middle)  ") == 2
+    assert "u(sag) of L" in out
+    assert "ground heights half as uncertain" in out
+    drawn = cv2.imread(str(picture))
+    assert drawn.shape[1] > 640
+    assert drawn.std() > 10
+
+
+def test_json_tells_the_same_to_a_program(span_file: Path, capsys: Capture) -> None:
+    code, out, _ = plan(capsys, "--config", span_file, *LENS, "--json")
+    document = json.loads(out)
+    assert code == 0
+    assert document["schema_version"] == "sagnode.plan/1"
+    assert document["assumed"] == {"backdrop": "plain", "contrast_grey": 60.0, "noise_grey": 2.0}
+    assert document["table"] == []
+    told = document["plan"]["conductors"]
+    assert [(one["conductor"], one["level"]) for one in told] == [
+        (name, level) for level in ("small", "middle", "large") for name in ("L1", "L2")
+    ]
+    for one in told:
+        assert one["expected"] == "good"
+        assert one["sag_half_width"] == pytest.approx(1.96 * one["sag_u"], rel=1e-3)
+        assert one["clearance_mostly_from"] == max(one["clearance_budget"], key=one["clearance_budget"].get)
+        assert one["wire_px"]["near"] > one["wire_px"]["far"]
+    gains = [max(gain["sag_gain"], gain["clearance_gain"]) for gain in document["plan"]["improvements"]]
+    assert gains == sorted(gains, reverse=True)
+
+
+def test_several_lenses_and_places_make_a_table_and_the_best_is_told(span_file: Path, capsys: Capture) -> None:
+    words = ["--sensor", SENSOR, "--focal", "2", "2.5", "--camera", "-1.6,0.5,5", "--grid", "0.6,2.9,5.2"]
+    code, out, err = plan(capsys, "--config", span_file, *words, "--json")
+    document = json.loads(out)
+    assert code == document["plan"]["conductors"].count({"expected": "refused"})
+    rows = document["table"]
+    assert [(row["camera"]["position"], row["camera"]["focal_mm"]) for row in rows] == [
+        (pytest.approx(position, abs=0.01), mm)
+        for position in ([-1.6, 0.5, 5.0], [0.3, 0.6, 5.21])
+        for mm in (2.0, 2.5)
+    ]
+
+    def weakest(row: dict[str, Any]) -> float:
+        return max(one["sag_u"] or 9.0 for one in row["conductors"])
+
+    good = [row for row in rows if all(one["expected"] == "good" for one in row["conductors"])]
+    assert document["plan"]["camera"] == min(good, key=weakest)["camera"]
+    assert err == ""
+
+
+def test_a_view_in_which_nothing_is_seen_exits_with_1(tmp_path: Path, capsys: Capture) -> None:
+    document = tables()
+    document["camera"]["azimuth_deg"] = 180.0
+    from sagnode.calibrate.files import save_intrinsics
+
+    save_intrinsics(tmp_path / "camera.yaml", simple_scene()[0].intrinsics)
+    document["camera"]["intrinsics"] = "camera.yaml"
+    code, out, _ = plan(capsys, "--config", write(tmp_path, document))
+    assert code == 1
+    assert "refused (no-conductor)" in out
+
+
+@pytest.mark.parametrize(
+    ("words", "what"),
+    [
+        ((), "the lens is not calibrated yet"),
+        (("--focal", "6"), "--focal needs the sensor"),
+        (("--focal", "6", "--sensor", "imx1"), "no such sensor"),
+        ((*LENS, "--grid", "0:60:900,1:2:900,3"), "at most 2000"),
+    ],
+)
+def test_what_is_needed_is_asked_for(words: tuple[str, ...], what: str, span_file: Path, capsys: Capture) -> None:
+    code, _, err = plan(capsys, "--config", span_file, *words)
+    assert code == 2
+    assert what in err
+    assert "remedy:" in err
+
+
+@pytest.mark.parametrize(
+    "words",
+    [("--camera", "1,2"), ("--camera", "1,2,x"), ("--grid", "1,2"), ("--grid", "0:1,2,3"), ("--focal", "0")],
+)
+def test_words_that_are_no_numbers_are_usage_errors(words: tuple[str, str], span_file: Path, capsys: Capture) -> None:
+    code, _, err = plan(capsys, "--config", span_file, *words)
+    assert code == 2
+    assert "usage: sagnode plan" in err
+
+
+def test_without_a_place_one_is_asked_for(tmp_path: Path, capsys: Capture) -> None:
+    document = tables()
+    del document["camera"]
+    file = write(tmp_path, document)
+    code, _, err = plan(capsys, "--config", file, *LENS)
+    assert code == 2
+    assert "the camera has no place yet" in err
