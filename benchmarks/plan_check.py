@@ -69,7 +69,7 @@ def main() -> int:
                 r for some in pool.map(partial(measure, group, options.seed), range(options.worlds)) for r in some
             ]
             lines += list(_rows(group, readings))
-            print("\n".join(lines[-6:]), file=sys.stderr, flush=True)
+            print(f"{group.name} done", file=sys.stderr, flush=True)
     options.out.mkdir(parents=True, exist_ok=True)
     (options.out / "planning-check.md").write_text("\n".join(lines) + "\n", encoding="utf-8")
     return 0
