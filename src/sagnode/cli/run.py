@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import argparse
+import logging
+import os
 from pathlib import Path
 
 HELP = "measure and publish on schedule, until stopped (what the service runs)"
@@ -20,9 +22,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Load, then run until told otherwise."""
+    from sagnode.config.guard import exposures
     from sagnode.config.load import load_node
     from sagnode.daemon import logs, node
 
+    os.umask(os.umask(0o077) | 0o027)  # what it writes is its user's and group's, whoever started it
     loaded = load_node(args.config)
     logs.set_up(loaded.node.log_level)
+    for _, _, text in exposures(loaded):
+        logging.getLogger(__name__).warning("%s", text)
     return node.run(loaded)

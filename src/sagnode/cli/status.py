@@ -10,6 +10,7 @@ import argparse
 import contextlib
 import fcntl
 import json
+import os
 import sqlite3
 import sys
 import time
@@ -48,6 +49,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Look, and show."""
     state_dir = _state_dir(args)
+    _look_into(state_dir)
     while args.watch:
         report = examine(state_dir)
         sys.stdout.write("\x1b[H\x1b[2J" + "\n".join(lines(report)) + "\n")
@@ -112,6 +114,7 @@ def lines(report: dict[str, Any]) -> Iterator[str]:
 
 def _state_dir(args: argparse.Namespace) -> Path:
     if args.state_dir is not None:
+        _look_into(args.state_dir)
         if not args.state_dir.is_dir():
             raise ConfigError(f"{args.state_dir}: no such directory", "give the node's state directory, or --config")
         return Path(args.state_dir)
@@ -119,6 +122,17 @@ def _state_dir(args: argparse.Namespace) -> Path:
         return configured_state_dir(args.config)
     own = state_directory(None)
     return own if own.is_dir() or not SERVICE_STATE.is_dir() else SERVICE_STATE
+
+
+def _look_into(state_dir: Path) -> None:
+    """Raises ConfigError where this user may not; what is not there at all is told elsewhere."""
+    try:
+        os.scandir(state_dir).close()
+    except PermissionError:
+        what = f"{state_dir} is closed to this user"
+        raise ConfigError(what, "sudo sagnode status, or once: sudo adduser USER sagnode, and log in again") from None
+    except OSError:
+        return
 
 
 def configured_state_dir(path: Path) -> Path:

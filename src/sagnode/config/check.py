@@ -12,6 +12,7 @@ from pathlib import Path
 
 from sagnode.config.document import Document
 from sagnode.config.faults import Fault
+from sagnode.config.guard import exposures
 from sagnode.config.lines import KeyPath
 from sagnode.config.load import LoadedNode, LoadedSpan, examine
 from sagnode.config.node import Mqtt, Node
@@ -46,6 +47,8 @@ def check(path: Path) -> Report:
         return Report(None, examined.faults, ())
     span_document = examined.documents[-1]
     faults, warnings = _look_at_span(span_document, loaded)
+    documents = {document.path: document for document in examined.documents}
+    warnings += [documents[file].fault(key, text) for file, key, text in exposures(loaded)]
     if isinstance(loaded, LoadedNode):
         node_document = examined.documents[0]
         said = [*_node_warnings(loaded.node, loaded.span), *_file_warnings(loaded.node)]

@@ -235,6 +235,13 @@ class Mqtt(Model):
     backlog_per_s: float = Field(default=50.0, gt=0)
     """Rate at which old readings are drained after an outage."""
 
+    @field_validator("host")
+    @classmethod
+    def _host_is_a_name(cls, host: str) -> str:
+        if set(host) & set("/@[]") or host.count(":") == 1 or not host.isprintable() or " " in host:
+            raise ValueError("must be a name or an address alone; port, username and password_file have their own keys")
+        return host
+
     @field_validator("prefix")
     @classmethod
     def _prefix_is_a_topic(cls, prefix: str) -> str:
