@@ -68,8 +68,8 @@ def test_a_directory_that_everybody_may_write_to_is_as_bad(site):
 def test_a_strangers_file_is_told(site):
     if os.geteuid() == 0:
         os.chown(site / "span.toml", 54321, -1)
-        assert said(site) == [f": {site}/span.toml belongs to user 54321, who may change what is measured; "
-                              f"chown root {site}/span.toml"]  # fmt: skip
+        why = "belongs to user 54321, who may change what is measured"
+        assert said(site) == [f": {site}/span.toml {why}; chown root {site}/span.toml"]
     else:
         assert all("belongs to" in text for text in said(site, user=54321))
         assert len(said(site, user=54321)) == 5

@@ -48,8 +48,8 @@ def node(tmp_path_factory):
     users.chmod(0o600)
     ran(PASSWD, "-b", users, "unit", SECRET)
     keys = ca / "keys"
-    lines = [f"cafile {ca}/ca.crt", f"certfile {keys}/broker.crt", f"keyfile {keys}/broker.key", "require_certificate true",
-             f"password_file {users}"]  # fmt: skip
+    tls = f"cafile {ca}/ca.crt\ncertfile {keys}/broker.crt\nkeyfile {keys}/broker.key\nrequire_certificate true"
+    lines = [tls, f"password_file {users}"]
     with Mosquitto(tmp_path, *lines, anonymous=False) as broker:
         (site / "node.toml").write_text(f"""
 span_file = "span.toml"
@@ -189,7 +189,7 @@ def test_what_the_daemon_writes_is_closed_to_others_however_it_was_started(node)
 
 def test_the_daemon_holds_no_rights_that_it_does_not_need(node):
     """What a unit file takes away it was never given here; this says that nothing asks for it."""
-    site, daemon, _ = node
+    _, daemon, _ = node
     unit = (Path(__file__).parents[2] / "systemd" / "sagnode.service").read_text().splitlines()
     for line in ("User=sagnode", "CapabilityBoundingSet=", "AmbientCapabilities=", "NoNewPrivileges=yes", "UMask=0027"):
         assert line in unit
