@@ -12,6 +12,7 @@ from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sagnode.config.span import Span, Swing
 from sagnode.geometry.camera import FloatArray, inside, project
@@ -57,7 +58,7 @@ def rain(setting: Setting, shot: Shot) -> Shot:
 
 def night(setting: Setting, shot: Shot) -> Shot:
     """From sunset to the dark, with the blur of a long exposure."""
-    elevation = float(setting.rng.uniform(-12.0, 0.0))
+    elevation = float(setting.rng.uniform(-8.0, 0.0))
     psf = shot.moment.psf_px + 0.03 * max(-elevation, 0.0)
     return replace(shot, moment=replace(shot.moment, sun_elevation_deg=elevation, psf_px=psf), fair=False)
 
@@ -218,7 +219,7 @@ def moved(low_px: float, high_px: float) -> Change:
 
 
 def treeline(world: World, _span: Span, view: View, rng: Generator) -> World:
-    """A forest so high that the wires are seen before it."""
+    """A forest so high that the wires are seen before it, from the tower wholly."""
     return replace(world, forest_m=float(rng.uniform(*view.forest_m)), horizon_m=view.forest_away_m)
 
 
@@ -254,42 +255,45 @@ def occluded(setting: Setting, shot: Shot) -> Shot:
     s = np.linspace(0.0, 1.0, 2001)
     points = wire_points(np.array(conductor.near), np.array(conductor.far), shot.moment.wires[conductor.id], s)
     pixels, depth = project(scene.intrinsics, scene.pose_at(shot.moment), points)
-    in_view = np.flatnonzero(inside(scene.intrinsics, pixels))
-    hidden = int(rng.uniform(0.2, 0.4) * in_view.size)
-    first = int(rng.integers(0, in_view.size - hidden))
-    chosen = in_view[first : first + hidden]
-    trees = _crowns_before(setting, points[chosen], pixels[chosen], depth[chosen])
+    seen = inside(scene.intrinsics, pixels)
+    points, pixels, depth = points[seen], pixels[seen], depth[seen]
+    # seen along the line a crown may hide a second stretch behind the one that it is meant for
+    for _ in range(100):
+        length = int(rng.uniform(0.05, 0.4) * len(points))
+        first = int(rng.integers(0, len(points) - length))
+        middles, radius = _row(pixels[first : first + length])
+        apart = np.hypot(*(pixels[:, None] - pixels[first + middles][None]).transpose(2, 0, 1))
+        if 0.2 <= np.mean(apart.min(axis=1) < radius) <= 0.4:
+            break
+    trees = [_crown(setting, points[k], float(depth[k]), 2 * radius) for k in first + middles]
     return replace(shot, scene=replace(scene, world=replace(scene.world, trees=(*scene.world.trees, *trees))))
 
 
-def _crowns_before(setting: Setting, points: FloatArray, pixels: FloatArray, depth: FloatArray) -> list[Tree]:
-    """A row of crowns between the camera and these points of a wire (N, 3)."""
-    scene, rng = setting.scene, setting.rng
-    frame = SpanFrame.of(scene.true)
-    focal = scene.intrinsics.fx
+def _row(pixels: FloatArray) -> tuple[NDArray[np.intp], float]:
+    """Where along a stretch of a curve (N, 2) crowns stand so close that they hide it, and their radius in px."""
     arc = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(pixels, axis=0).T))])
-    across_px = max(14.0, arc[-1] / 8)
-    count = max(2, int(np.ceil(arc[-1] / (0.55 * across_px))) + 1)
+    radius = max(3.0, float(arc[-1]) / 16)
+    places = np.linspace(0.0, arc[-1], max(2, int(np.ceil(arc[-1] / radius)) + 1))
+    return np.searchsorted(arc, places).clip(0, len(pixels) - 1), radius
+
+
+def _crown(setting: Setting, point: FloatArray, depth: float, across_px: float) -> Tree:
+    """A crown between the camera and a point of a wire."""
+    scene, rng = setting.scene, setting.rng
+    frame, focal = SpanFrame.of(scene.true), scene.intrinsics.fx
     camera = scene.pose.position
-    trees = []
-    for place in np.linspace(0.0, arc[-1], count):
-        k = int(np.searchsorted(arc, place).clip(0, len(points) - 1))
-        away = min(float(rng.uniform(0.3, 0.7)) * depth[k], 2.4 * focal / across_px)
-        middle = camera + (points[k] - camera) * away / depth[k]
-        size = float(across_px * away / focal * rng.uniform(1.0, 1.25))
-        local = frame.to_span(middle)
-        ground = float(np.interp(local[0], *np.array(scene.true.ground.profile).T))
-        trees.append(
-            Tree(
-                along_m=float(local[0]),
-                across_m=float(local[1]),
-                height_m=size,
-                width_m=size,
-                tone=float(rng.uniform(44.0, 74.0)),
-                base_m=float(local[2]) - size / 2 - ground,
-            )
-        )
-    return trees
+    away = min(float(rng.uniform(0.3, 0.7)) * depth, 2.4 * focal / across_px)
+    size = across_px * away / focal * float(rng.uniform(1.0, 1.15))
+    place = frame.to_span(camera + (point - camera) * away / depth)
+    ground = float(np.interp(place[0], *np.array(scene.true.ground.profile).T))
+    return Tree(
+        along_m=float(place[0]),
+        across_m=float(place[1]),
+        height_m=size,
+        width_m=size,
+        tone=float(rng.uniform(44.0, 74.0)),
+        base_m=float(place[2]) - size / 2 - ground,
+    )
 
 
 # --- what must not be told --------------------------------------------------------------------------------------------

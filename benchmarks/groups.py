@@ -75,11 +75,13 @@ GROUPS = (
     Group("fog", "mist to fog in which nothing is seen, from the tower", _V["tower"], 30, draws.frames(draws.fog)),
     Group("fog-side", "the same from the side", _V["side"], 26, draws.frames(draws.fog)),
     Group("rain", "rain, in half of the frames with drops on the lens", _V["tower"], 18, draws.frames(draws.rain)),
-    Group("night", "sun 0 to 12° below the horizon", _V["tower"], 18, draws.frames(draws.night)),
+    Group("night", "sun 0 to 8° below the horizon", _V["tower"], 18, draws.frames(draws.night)),
     Group("glare", "a low sun in the picture or beside it", _V["tower"], 18, draws.frames(draws.glare)),
     Group("clouds", "strong clouds", _V["tower"], 18, draws.frames(draws.strong_clouds)),
     # what stands around
-    Group("treeline", "wires before a forest", _V["tower"], 18, draws.frames(), world=draws.treeline),
+    Group(
+        "treeline", "wires before a forest, wholly or in part", _V["tower"], 18, draws.frames(), world=draws.treeline
+    ),
     Group(
         "treeline-side", "wires before a forest, from the side", _V["side"], 26, draws.frames(), world=draws.treeline
     ),

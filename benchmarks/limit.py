@@ -10,7 +10,8 @@ observed is every pixel of the visible wire, at its true place, in nothing but w
 
 With J the derivatives of all this by θ and C its covariance, the limit of a quantity with the gradient g is
 ``√(gᵀ (P⁻¹ + JᵀC⁻¹J)⁻¹ g)``, for the clearance together with the survey's uncertainty of the ground. It is the
-Cramér–Rao bound of a Gaussian model with a prior (van Trees). Each conductor is taken for itself. Texture behind the
+Cramér–Rao bound of a Gaussian model with a prior (van Trees). Each conductor is taken for itself; a
+truly uneven load has the terms and the prior that the node gives one. Texture behind the
 wire, rain, drops and glare are not in it, nor are things that hide landmarks.
 """
 
@@ -22,6 +23,7 @@ import cv2
 import numpy as np
 
 from sagnode.config.span import Conductor
+from sagnode.estimate.locate import LOAD_U
 from sagnode.geometry.camera import FloatArray, inside, project, projection_derivatives
 from sagnode.geometry.conductor import load_shapes, sag_profile
 from sagnode.geometry.quantities import Shape, quantities_of_many
@@ -34,8 +36,6 @@ from sagnode.survey import ATTACHMENTS, CAMERA, LOAD, SAG, SWING, Survey
 
 ROUNDING = 1 / 12
 """Variance of rounding to whole grey levels."""
-LOAD_U = 0.3
-"""Standard uncertainty of each term of a load where the load is truly uneven; without it nothing could fit the wire."""
 GROUND_STEMS = ("clearance", "midspan_clearance")
 
 

@@ -20,14 +20,13 @@ from pathlib import Path
 from groups import GROUPS
 from plots import write_plots
 from report import report, summary
-from runner import run, tasks
+from runner import SEEN, run, tasks
 from tally import JUDGED, Outcome
 
 ROOT = Path(__file__).resolve().parents[1]
 REPORT_SEED = 5767
 DEVELOPMENT_SEED = 1
 HEAD = ("group", "world", "frame", "kind", "conductor", "method", "validity", "reasons", "due", "false")
-SEEN = ("visible_share", "clear_share", "snr")
 PARTS = ("value", "u", "lo", "hi", "truth", "limit")
 
 

@@ -22,6 +22,9 @@ from sagnode.site import Site
 from tally import Outcome, outcome
 from worlds import Setting, Shot, settle
 
+SEEN = ("visible_share", "clear_share", "snr")
+"""What the renderer says of a conductor that is kept with its outcome."""
+
 
 @dataclass(frozen=True)
 class Task:
@@ -98,7 +101,7 @@ def measure_shot(
                 method=method,
                 truth=true_quantities(scene.true, conductors[name], moment.wires[name]) if there else {},
                 limit=bounds.get(name, {}),
-                seen={k: v for k, v in views[name].items() if isinstance(v, float)} if there else {},
+                seen={key: views[name][key] for key in SEEN} if there else {},
                 fair=shot.fair,
             )
         )

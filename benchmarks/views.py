@@ -33,7 +33,7 @@ class View:
     sway_px: float = 2.0
     """Standard deviation of the camera's movement on an ordinary day."""
     forest_m: tuple[float, float] = (28.0, 40.0)
-    """Height of a forest before which the whole wires are seen, and its distance from the camera."""
+    """Height of a forest before which the wires are seen, or a part of them."""
     forest_away_m: float = 335.0
 
 
@@ -113,9 +113,9 @@ VIEWS = {
         View("field", _from_preset("field"), sway_px=6.0),
         View("field-tower", _from_preset("tower")),
         View("ground", _from_the_ground, replace(_DEMO_WORLD, opening=0.085)),
-        View("side50", _from_the_side(50.0, _WIDE, 12.0), forest_m=(26.0, 36.0), forest_away_m=75.0),
-        View("side", _from_file(SITES / "side/span.toml"), forest_m=(32.0, 45.0), forest_away_m=150.0),
-        View("side200", _from_preset("side200"), forest_m=(32.0, 45.0), forest_away_m=250.0),
+        View("side50", _from_the_side(50.0, _WIDE, 12.0), forest_m=(7.0, 20.0), forest_away_m=75.0),
+        View("side", _from_file(SITES / "side/span.toml"), forest_m=(8.0, 22.0), forest_away_m=150.0),
+        View("side200", _from_preset("side200"), forest_m=(10.0, 20.0), forest_away_m=250.0),
     )
 }
 
