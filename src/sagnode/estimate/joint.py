@@ -26,6 +26,8 @@ CAUCHY_LANDMARK, CAUCHY_CURVE = 3.5, 2.5
 """Standardised residuals at which an observation counts half."""
 SETTLED = 0.01
 """A step of less than this share of a standard uncertainty is the last."""
+EXACT_STEPS = 2
+"""Steps with derivatives of their own; later ones are so short that those of the last of these serve."""
 SOURCES = {
     "orientation prior": slice(0, 3),
     "camera position": slice(3, 6),
@@ -195,6 +197,15 @@ def _landmark_terms(
     return residual, by_camera, np.linalg.inv(covariance)
 
 
+def curve_residual(survey: Survey, theta: FloatArray, curve: CurveObservations) -> FloatArray:
+    """Residuals (M,) of the offsets across the curve."""
+    intrinsics, pose = survey.camera(theta)
+    own = theta[10:18]
+    load = theta[LOAD] if survey.load_u > 0 else ()
+    points = conductor_points(survey.near + own[0:3], survey.far + own[3:6], own[6], own[7], curve.t, load)
+    return np.asarray(np.sum((curve.measured - project(intrinsics, pose, points)[0]) * curve.normal, axis=1))
+
+
 def curve_terms(survey: Survey, theta: FloatArray, curve: CurveObservations) -> tuple[FloatArray, FloatArray]:
     """Residuals (M,) of the offsets across the curve, and the curve's derivatives there by θ (M, 24)."""
     intrinsics, pose = survey.camera(theta)
@@ -265,7 +276,10 @@ def solve(
         theta[SAG] = np.clip(theta[SAG], 0.2 * survey.sag_range[0], 2 * survey.sag_range[1])
         theta[SWING] = np.clip(theta[SWING], -1.4, 1.4)
         posterior = np.linalg.inv(normal)
-        residual, jacobian = curve_terms(survey, theta, curve)
+        if step_number < EXACT_STEPS:
+            residual, jacobian = curve_terms(survey, theta, curve)
+        else:
+            residual = curve_residual(survey, theta, curve)
         if step_number >= 2 and np.all(np.abs(step) < SETTLED * np.sqrt(np.diag(posterior))):
             converged = True
             break

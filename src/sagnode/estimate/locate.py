@@ -50,7 +50,7 @@ SUSPECT_SHARE = 0.35
 """Where less of an even curve, or of the span, shows a wire, the wire may hang unevenly, and that is tried."""
 EVEN_ODDS = 2.0
 """Logarithm of the odds of an uneven over an even load above which the load is not taken for even."""
-SUSPECT_ODDS = -20.0
+SUSPECT_ODDS = -3.0
 """The same where there is a reason to doubt that the load is even: UNEVENNESS, or a swing apart from the others'.
 
 Seen along the line, a swung even span and an unswung uneven one can look alike over the part that is clear. What the
