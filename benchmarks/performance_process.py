@@ -1,0 +1,79 @@
+"""What Linux says of a process: memory, CPU time, bytes written. ``/proc`` only; nothing is added to the process."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+
+def resident_kb(pid: int) -> int:
+    """Resident memory now, kB."""
+    return _status(pid, "VmRSS")
+
+
+def peak_kb(pid: int) -> int:
+    """Most resident memory since the start (or since :func:`forget_peak`), kB."""
+    return _status(pid, "VmHWM")
+
+
+def forget_peak(pid: int) -> None:
+    """Begin the peak anew at what is resident now."""
+    Path(f"/proc/{pid}/clear_refs").write_text("5", encoding="ascii")
+
+
+def cpu_s(pid: int) -> float:
+    """CPU time of all living threads, s, to the nanosecond: ``stat`` has ticks, too coarse for an idle process."""
+    total = 0
+    for task in Path(f"/proc/{pid}/task").iterdir():
+        total += int((task / "schedstat").read_text(encoding="ascii").split()[0])
+    return total / 1e9
+
+
+def written_bytes(pid: int) -> int:
+    """Bytes that the process has handed to the storage layer (``write_bytes``: dirtied pages, at their full size)."""
+    return _field(Path(f"/proc/{pid}/io"), "write_bytes")
+
+
+def _status(pid: int, name: str) -> int:
+    return _field(Path(f"/proc/{pid}/status"), name)
+
+
+def _field(file: Path, name: str) -> int:
+    found = re.search(rf"^{name}:\s+(\d+)", file.read_text(encoding="ascii", errors="replace"), re.MULTILINE)
+    if found is None:
+        raise ValueError(f"{file} has no {name}")
+    return int(found.group(1))
+
+
+@dataclass(frozen=True)
+class Slope:
+    """A straight line through readings of something, by least squares."""
+
+    per_thousand: float
+    """Growth for every thousand steps."""
+    u: float
+    """Its standard uncertainty, from the scatter about the line."""
+    first: float
+    last: float
+    steps: int
+
+
+def slope(steps: list[float], values: list[float], settled: float = 0.25) -> Slope:
+    """The slope after the first ``settled`` share of the steps, in which caches and pools fill up.
+
+    Raises:
+        ValueError: fewer than three values are left.
+    """
+    import numpy as np
+
+    x, y = np.array(steps, dtype=float), np.array(values, dtype=float)
+    late = x >= x[0] + settled * (x[-1] - x[0])
+    x, y = x[late], y[late]
+    if len(x) < 3:
+        raise ValueError(f"{len(x)} readings are too few for a slope")
+    centred = x - x.mean()
+    inclination = float(centred @ y / (centred @ centred))
+    rest = y - y.mean() - inclination * centred
+    u = float(np.sqrt(rest @ rest / (len(x) - 2) / (centred @ centred)))
+    return Slope(1000 * inclination, 1000 * u, float(y[0]), float(y[-1]), int(x[-1]))

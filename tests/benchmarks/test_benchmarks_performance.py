@@ -1,0 +1,172 @@
+"""The measuring instruments behind docs/performance.md, on things whose size is known."""
+
+import json
+import os
+import socket
+import subprocess
+import sys
+import threading
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sagnode.pipeline import measure_frame
+from sagnode.worker.supervisor import Limits, Supervisor
+
+BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
+sys.path.insert(0, str(BENCHMARKS))
+frames = pytest.importorskip("performance_frames")
+methods = pytest.importorskip("performance_methods")
+process = pytest.importorskip("performance_process")
+proxy = pytest.importorskip("performance_proxy")
+stages = pytest.importorskip("performance_stages")
+tables = pytest.importorskip("performance_speed_tables")
+
+
+@pytest.fixture
+def tower(tmp_path):
+    return frames.shot("tower", tmp_path)
+
+
+def test_every_stage_that_is_clocked_is_there():
+    """Fails when a stage was renamed: then say in benchmarks/performance_stages.py what it is called now."""
+    for stage in stages.STAGES:
+        stages.bound(stage.module, stage.function)
+
+
+def test_a_stage_that_is_gone_is_told_with_its_place():
+    with pytest.raises(stages.NameGone, match=r"sagnode\.pipeline\.lookk is gone"):
+        stages.bound("sagnode.pipeline", "lookk")
+
+
+def test_stages_are_clocked_and_left_as_they_were(tower):
+    import sagnode.pipeline
+
+    before = sagnode.pipeline.look
+    with stages.clocked() as spent:
+        measure_frame(tower.site, np.zeros_like(tower.image))
+    assert sagnode.pipeline.look is before
+    # a black frame goes no farther than the first stage
+    assert spent.calls == {"look": 1}
+    assert spent.seconds["look"] > 0
+    assert spent.rest(1.0) == pytest.approx(1.0 - spent.seconds["look"])
+
+
+@pytest.mark.parametrize("wanted", [300, 2500, 10_000])
+def test_the_search_can_be_made_to_compare_so_many_templates(tower, wanted):
+    assert methods.Own(tower, wanted).scored() == pytest.approx(wanted, rel=0.4)
+
+
+def test_the_literal_search_looks_into_the_fewest_quadrants_that_hold_its_templates(tower):
+    scene = methods.paper_scene(tower, 5)
+    left, top, right, bottom = methods.smallest_roi(tower, scene).box(tower.image.shape)
+    for sag in scene.sags:
+        curve = scene.visible(scene.near, scene.far, float(sag))
+        assert np.all(curve >= (left, top))
+        assert np.all(curve < (right, bottom))
+    assert (right - left) * (bottom - top) < tower.image.size
+
+
+def test_a_slope_has_an_uncertainty_that_holds_it():
+    rng = np.random.default_rng(1)
+    x = np.arange(0.0, 4000.0, 10.0)
+    found = process.slope(list(x), list(5e4 + 0.003 * x + rng.normal(0, 4, len(x))))
+    assert abs(found.per_thousand - 3.0) < 3 * found.u
+    assert 0 < found.u < 1
+    with pytest.raises(ValueError, match="too few"):
+        process.slope([1.0, 2.0], [1.0, 2.0])
+
+
+def test_memory_and_processor_time_are_this_processs_own():
+    pid = os.getpid()
+    before = process.resident_kb(pid)
+    process.forget_peak(pid)
+    block = np.ones(30_000_000, dtype=np.uint8)
+    assert process.peak_kb(pid) - before > 25_000
+    del block
+    spent = process.cpu_s(pid)
+    sum(i * i for i in range(300_000))
+    assert 0.001 < process.cpu_s(pid) - spent < 60
+    assert process.written_bytes(pid) >= 0
+
+
+def test_the_proxy_counts_what_passes():
+    with socket.create_server(("127.0.0.1", 0)) as broker:
+        answered = threading.Event()
+
+        def answer():
+            connection, _ = broker.accept()
+            with connection:
+                got = 0
+                while got < 5000:
+                    got += len(connection.recv(65536))
+                connection.sendall(b"y" * 700)
+                answered.wait(5)
+
+        threading.Thread(target=answer, daemon=True).start()
+        with proxy.Proxy(broker.getsockname()[1]) as between:
+            with socket.create_connection(("127.0.0.1", between.port)) as client:
+                client.sendall(b"x" * 5000)
+                got = 0
+                while got < 700:
+                    got += len(client.recv(65536))
+                passed = between.passed()
+                answered.set()
+            assert (passed.up, passed.down) == (5000, 700)
+            # one segment at least for the data and one for the connection
+            assert passed.segments_up >= 2
+            assert passed.since(passed) == proxy.Passed(0, 0, 0)
+
+
+def test_the_stand_in_speaks_the_workers_protocol_and_goes_on_where_it_was(tmp_path):
+    reply = {
+        "kind": "reply",
+        "id": 1,
+        "acquired_at": "2026-06-21T00:00:00Z",
+        "monotonic_s": 1.0,
+        "camera": "recorded",
+        "results": [{"conductor": "L1", "validity": "invalid", "method": "recorded"}],
+        "elapsed_s": 0.1,
+        "memory_mb": 50.0,
+    }
+    (tmp_path / "reply.json").write_text(json.dumps(reply))
+    words = {"SAGNODE_STAND_IN_REPLY": str(tmp_path / "reply.json"), "SAGNODE_STAND_IN_READINGS": "3"}
+
+    def command(requests_fd, replies_fd, resume_after):
+        line = ["env", *(f"{k}={v}" for k, v in words.items()), sys.executable]
+        line += [str(BENCHMARKS / "performance_stand_in.py")]
+        line += ["--requests-fd", str(requests_fd), "--replies-fd", str(replies_fd), "--parent", str(os.getpid())]
+        return line if resume_after is None else [*line, "--resume-after", resume_after.isoformat()]
+
+    worker = Supervisor(command, Limits(deadline_s=30.0, max_readings=2))
+    try:
+        times = [worker.measure(None).reply.acquired_at for _ in range(3)]
+        assert worker.measure(None).end_of_frames
+    finally:
+        worker.stop()
+    # the worker was replaced after two readings
+    assert times == [datetime(2026, 6, 21, 0, m, tzinfo=UTC) for m in (0, 5, 10)]
+
+
+def test_ratios_scale_the_templates_that_were_run_and_nothing_else():
+    spent = {"undistort": 1.0, "edges": 0.5, "curve points": 0.1, "draw": 0.2, "matchTemplate": 3.0}
+    rows = [
+        {"case": "literal", "view": "lab", "method": "Bézier", "templates": 30, "spent": spent},
+        {"case": "own", "view": "lab", "wanted": 300, "min": 0.01},
+    ]
+    cases = tables.Cases(rows)
+    assert sum(cases.literal("lab").values()) == pytest.approx(1.5 + 10 * 3.3)
+    assert cases.ratio("lab", 300) == pytest.approx(3450.0)
+    with pytest.raises(LookupError, match="0 cases"):
+        cases.one("own", view="field")
+
+
+def test_the_plan_reaches_the_cases(tmp_path):
+    """What the command line chose is what the cases see, in the thorough plan as in the quick one."""
+    script = (
+        "import sys, performance_plan as p; from pathlib import Path;"
+        "plan = p.thorough(Path(sys.argv[1])); p.announce(plan); assert p.current() == plan"
+    )
+    subprocess.run([sys.executable, "-c", script, str(tmp_path)], check=True, cwd=BENCHMARKS)
