@@ -10,7 +10,7 @@ help:
 	@echo "make test    linters, types and tests, as continuous integration runs them"
 	@echo "make lint    linters and types alone"
 	@echo "make format  put the source into its standard form"
-	@echo "make bench   benchmarks: errors, coverage, times"
+	@echo "make bench   benchmarks: errors, coverage, speed, memory, idle cost"
 	@echo "make deb     Debian packages for Bookworm and Trixie, arm64 and amd64 (under build/)"
 	@echo "make clean   remove the environment and everything that was generated"
 
@@ -34,6 +34,7 @@ format:
 bench:
 	@scripts/setup dev
 	@$(BIN)/python benchmarks/run.py
+	@$(BIN)/python benchmarks/performance.py
 
 deb:
 	@scripts/setup dev

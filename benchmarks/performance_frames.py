@@ -18,19 +18,23 @@ from sagnode.capture.images import read_grey
 from sagnode.capture.port import GreyImage
 from sagnode.config.load import load_span
 from sagnode.config.span import Span
-from sagnode.geometry.camera import Intrinsics
+from sagnode.geometry.camera import Intrinsics, inside
 from sagnode.pipeline import load_site
-from sagnode.scene.presets import preset
+from sagnode.scene.catenary import WireState
+from sagnode.scene.presets import preset, preset_scene, typical_states
 from sagnode.scene.render import render
 from sagnode.scene.site import site_directory
 from sagnode.scene.spec import Moment, Scene, World
 from sagnode.scene.truth import read_truth, true_quantities
 from sagnode.site import Site
-from worlds import GROUPS, Group, Setting, any_moment, settle
 
 NAMES = ("lab", "tower", "field")
 DAYLIGHT = "20260621T103000Z.jpg"
 SEED = 1
+WHAT = {
+    "lab": "the paper's laboratory, frontal from 2.5 m",
+    "field": "the paper's 110 kV span through a long lens, f = 15 300 px",
+}
 JPEG_QUALITY = 90
 
 
@@ -70,15 +74,8 @@ def shot(name: str, folder: Path) -> Shot:
         return Shot(name, what, span, load_site(span), read_grey(file), file, truth)
     folder = folder / name
     folder.mkdir(parents=True, exist_ok=True)
-    group = next(group for group in GROUPS if group.name == name)
-    setting = settle(group, SEED, 0, folder)
-    moment = any_moment(group, setting)
-    true = setting.scene.true
-    truth = {c.id: true_quantities(true, c, moment.wires[c.id]) for c in true.conductors}
-    image = render(setting.scene, moment).image
-    return Shot(
-        name, group.what, setting.survey, load_site(setting.survey), image, _as_jpeg(image, folder / "frame"), truth
-    )
+    scene = preset_scene(name, SEED, error_scale=1.0)
+    return _taken(name, WHAT[name], scene, preset(name)[1], folder)
 
 
 @cache
@@ -97,34 +94,46 @@ def scaled_tower(width: int, folder: Path) -> Shot:
         (lens.cy + 0.5) * factor - 0.5,
         lens.distortion,
     )
-    folder.mkdir(parents=True, exist_ok=True)
-    file = folder / f"camera-{width}.yaml"
-    save_intrinsics(file, scaled)
     marks = tuple(
         m.model_copy(update={"pixel": tuple(round((p + 0.5) * factor - 0.5, 2) for p in m.pixel)})
         for m in span.landmarks
     )
-    camera = span.camera.model_copy(update={"intrinsics": file})
-    span = span.model_copy(update={"landmarks": marks, "camera": camera})
-    scene = Scene(span, span, scaled, World(), SEED)
-    group = next(group for group in GROUPS if group.name == "tower")
-    reference = folder / f"reference-{width}.png"
-    calm = _moment(group, span, scene, 1)
-    cv2.imwrite(str(reference), render(scene, calm).image)
-    span = span.model_copy(update={"camera": camera.model_copy(update={"reference_image": reference})})
-    moment = _moment(group, span, scene, 2)
-    image = render(scene, moment).image
-    truth = {c.id: true_quantities(span, c, moment.wires[c.id]) for c in span.conductors}
+    span = span.model_copy(update={"landmarks": marks})
     name = f"tower-{width}"
-    return Shot(name, "the tower view, scaled", span, load_site(span), image, _as_jpeg(image, folder / name), truth)
+    folder = folder / name
+    folder.mkdir(parents=True, exist_ok=True)
+    return _taken(name, "the tower view, scaled", Scene(span, span, scaled, World(), SEED), scaled, folder)
 
 
-def _moment(group: Group, span: Span, scene: Scene, seed: int) -> Moment:
-    """Weather and sags of a seed, the camera at rest."""
-    return replace(any_moment(group, Setting(span, scene, np.random.default_rng(seed))), turn_rad=(0.0, 0.0, 0.0))
+def _taken(name: str, what: str, scene: Scene, lens: Intrinsics, folder: Path) -> Shot:
+    """The scene's survey made into files in ``folder``, and a picture of the scene on another day than the survey."""
+    calm = Moment(typical_states(scene.true), cloud=0.2, seed=1)
+    reference = folder / "reference.png"
+    cv2.imwrite(str(reference), render(scene, calm).image)
+    intrinsics = folder / "camera.yaml"
+    save_intrinsics(intrinsics, lens)
+    pixels = np.array([m.pixel for m in scene.surveyed.landmarks])
+    seen = inside(lens, pixels, 2.0)
+    span = scene.surveyed.model_copy(
+        update={
+            "landmarks": tuple(m for m, ok in zip(scene.surveyed.landmarks, seen, strict=True) if ok),
+            "camera": scene.surveyed.camera.model_copy(update={"intrinsics": intrinsics, "reference_image": reference}),
+        }
+    )
+    # the camera has turned by two pixels, the conductors by a degree and a half
+    moment = Moment(_sagging(scene.true), turn_rad=(2 / lens.fx, -1.5 / lens.fx, 1e-4), cloud=0.5, seed=2)
+    image = render(scene, moment).image
+    jpeg = folder / "frame.jpg"
+    cv2.imwrite(str(jpeg), image, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
+    truth = {c.id: true_quantities(scene.true, c, moment.wires[c.id]) for c in scene.true.conductors}
+    return Shot(name, what, span, load_site(span), image, jpeg, truth)
 
 
-def _as_jpeg(image: GreyImage, stem: Path) -> Path:
-    file = stem.with_suffix(".jpg")
-    cv2.imwrite(str(file), image, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
-    return file
+def _sagging(span: Span) -> dict[str, WireState]:
+    """Every conductor at four tenths of its possible sags, a little more from one to the next."""
+    states = {}
+    for number, conductor in enumerate(span.conductors):
+        share = 0.4 + 0.02 * number
+        sag = conductor.sag_min_m + share * (conductor.sag_max_m - conductor.sag_min_m)
+        states[conductor.id] = WireState(sag, 1.5 if conductor.sag_max_m > 1 else 0.0)
+    return states

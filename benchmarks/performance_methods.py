@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from performance_frames import Shot
-from performance_stages import replaced
+from performance_stages import bound, replaced
 from sagnode.calibrate.undistort import undistort_image
 from sagnode.pipeline import measure_frame
 from sagnode.reference.anchored import DrawnLibrary, anchored_scores, best_of, draw_library
@@ -22,6 +22,9 @@ from sagnode.site import Site
 
 POINTS = np.linspace(0.0, 1.0, 401)
 LITERAL = ("Bézier", "cosh with perspective")
+SEARCH = "sagnode.match.search"
+MOST = 30_000
+"""Templates of one stretch of curve that the search can hold: OpenCV's pictures end at 32 767 columns."""
 
 
 @dataclass
@@ -167,50 +170,49 @@ class Own:
 @contextmanager
 def _search_of(most: int, step_px: float) -> Iterator[None]:
     with ExitStack() as stack:
-        stack.enter_context(replaced("sagnode.match.templates", "MAX_TEMPLATES", most))
-        stack.enter_context(replaced("sagnode.match.templates", "STEP_PX", step_px))
+        stack.enter_context(replaced(SEARCH, "MAX_TEMPLATES", most))
+        stack.enter_context(replaced(SEARCH, "STEP_PX", step_px))
         yield
 
 
 def search_settings(site: Site, shot: Shot, wanted: int) -> tuple[int, float]:
-    """MAX_TEMPLATES and STEP_PX of the search that make it compare about ``wanted`` templates.
+    """MAX_TEMPLATES and STEP_PX of the search that make it score about ``wanted`` templates.
 
-    Fewer than it would take by itself: the limit widens its steps, as in the product. More: the steps shrink.
+    The steps shrink where it would take fewer by itself; the limit, which widens the steps as it does in the product,
+    then meets the number.
     """
-    from sagnode.match import templates
-
-    step = float(templates.STEP_PX)
-    with _search_of(10**9, step):
-        natural = _scored(site, shot)
-    if wanted <= natural:
-        return wanted, step
-    low, high = step / 64, step
-    for _ in range(14):
-        middle = float(np.sqrt(low * high))
-        with _search_of(10**9, middle):
-            low, high = (middle, high) if _scored(site, shot) > wanted else (low, middle)
-    return 10**9, high
+    step = 2 * float(bound(SEARCH, "STEP_PX")[1])
+    count = 0
+    while count < wanted:
+        step /= 2
+        with _search_of(MOST, step):
+            count = _scored(site, shot)
+    low, high = 4, MOST
+    while high - low > 1:
+        middle = (low + high) // 2
+        with _search_of(middle, step):
+            low, high = (middle, high) if _scored(site, shot) < wanted else (low, middle)
+    return high, step
 
 
 class _Counted(Exception):
-    """The search has said how many templates it is about to score."""
+    """The search has said how many templates it has scored."""
 
 
 def _scored(site: Site, shot: Shot) -> int:
-    """Templates that the first search of a frame compares; the frame is not measured any further."""
+    """Templates, curves of one sag and swing, that the first search of a frame scores; no more of it is measured."""
     counts: list[int] = []
 
-    def count(*arguments, **_named):
-        sags, swings = arguments[2:4]
-        counts.append(len(sags) * len(swings))
+    def count(ranked, *_others):
+        counts.append(ranked.size)
         raise _Counted
 
-    with replaced("sagnode.match.templates", "_scores", count):
+    with replaced(SEARCH, "_peaks", count):
         try:
             measure_frame(site, shot.image)
         except _Counted:
             return counts[0]
-    raise RuntimeError("the search scored no template: it is no longer in sagnode.match.templates._scores")
+    raise RuntimeError("the search scored no template: its grid no longer goes through sagnode.match.search._peaks")
 
 
 def without_neighbours(site: Site) -> Site:
