@@ -18,7 +18,17 @@ _JPEG_LONE = frozenset((0x01, *range(0xD0, 0xD8)))
 # In entropy-coded data ff 00 is a byte of data and ff d0..d7 a restart: any other marker ends the scan.
 _END_OF_SCAN = re.compile(rb"\xff+[\x01-\xcf\xd8-\xfe]")
 _PNM = re.compile(rb"P([56])(?:\s|#[^\n]*\n)+(\d{1,9})(?:\s|#[^\n]*\n)+(\d{1,9})(?:\s|#[^\n]*\n)+(\d{1,5})\s")
+_PNM_HEAD = 4096  # bytes; comments may be long, and a file of nothing but blanks longer
 _TIFF_SIZES = {1: 1, 2: 1, 3: 2, 4: 4, 7: 1}
+_TIFF_TAGS = frozenset({256, 257, 258, 262, 273, 277, 279, 324, 325})
+_EXIF_POINTER = frozenset({0x8769})
+_EXIF_TIMES = frozenset({0x9003, 0x9011, 0x9291})
+_PNG_CHANNELS = {0: 1, 2: 3, 3: 4, 4: 4, 6: 4}  # as decoded: a palette and grey with alpha are widened
+
+MAX_PARTS = 100_000
+"""More segments or chunks than this are no picture of a camera, but work for its own sake."""
+MAX_SCANS = 32
+"""Progressive JPEGs have some ten scans; each is a pass over the whole picture."""
 
 
 class DamagedError(ValueError):
@@ -27,12 +37,21 @@ class DamagedError(ValueError):
 
 @dataclass(frozen=True)
 class Header:
-    """Kind and size of a picture, px; ``full_scale`` is the sample value of white where the file states it."""
+    """Kind and size of a picture, px.
+
+    Args:
+        kind: name of the format.
+        width: columns.
+        height: rows.
+        full_scale: sample value of white where the file states it.
+        pixel_bytes: what one pixel takes when it is decoded.
+    """
 
     kind: str
     width: int
     height: int
     full_scale: int | None = None
+    pixel_bytes: int = 3
 
 
 def read_header(data: bytes) -> Header:
@@ -68,7 +87,7 @@ def exif_taken(data: bytes) -> tuple[str, str | None, str | None] | None:
 def _jpeg_segments(data: bytes) -> Iterator[tuple[int, bytes]]:
     """Markers with their segments up to the end of the image; scans are passed over."""
     at = 2
-    while True:
+    for _ in range(MAX_PARTS):
         if at + 2 > len(data):
             raise DamagedError("is cut off: the JPEG ends before its end marker")
         if data[at] != 0xFF:
@@ -95,6 +114,7 @@ def _jpeg_segments(data: bytes) -> Iterator[tuple[int, bytes]]:
             if end is None:
                 raise DamagedError("is cut off: the JPEG ends before its end marker")
             at = end.end() - 2
+    raise DamagedError(f"has more than {MAX_PARTS} JPEG segments")
 
 
 def _jpeg(data: bytes) -> Header:
@@ -107,14 +127,18 @@ def _jpeg(data: bytes) -> Header:
             height, width = struct.unpack_from(">HH", body, 1)
             size = width, height
         scans += marker == 0xDA
+        if scans > MAX_SCANS:
+            raise DamagedError(f"has more than {MAX_SCANS} JPEG scans")
     if size is None or not scans:
         raise DamagedError("is damaged: a JPEG without picture data")
     return Header("JPEG", *size)
 
 
 def _png(data: bytes) -> Header:
-    at, size, pixels = len(_PNG_SIGNATURE), None, 0
-    while at + 12 <= len(data):
+    at, size, pixels, pixel_bytes = len(_PNG_SIGNATURE), None, 0, 0
+    for _ in range(MAX_PARTS):
+        if at + 12 > len(data):
+            raise DamagedError("is cut off: the PNG ends before its end chunk")
         length, kind = struct.unpack_from(">I4s", data, at)
         end = at + 12 + length
         if end > len(data):
@@ -125,13 +149,15 @@ def _png(data: bytes) -> Header:
             if kind != b"IHDR" or length != 13:
                 raise DamagedError("is damaged: a PNG that does not begin with its header")
             size = struct.unpack_from(">II", data, at + 8)
+            depth, colour = data[at + 16], data[at + 17]
+            pixel_bytes = _PNG_CHANNELS.get(colour, 4) * (2 if depth > 8 else 1)
         pixels += kind == b"IDAT"
         if kind == b"IEND":
             if not pixels:
                 raise DamagedError("is damaged: a PNG without picture data")
-            return Header("PNG", *size)
+            return Header("PNG", size[0], size[1], pixel_bytes=pixel_bytes)
         at = end
-    raise DamagedError("is cut off: the PNG ends before its end chunk")
+    raise DamagedError(f"has more than {MAX_PARTS} PNG chunks")
 
 
 def _word(kind: bytes) -> str:
@@ -139,20 +165,21 @@ def _word(kind: bytes) -> str:
 
 
 def _pnm(data: bytes) -> Header:
-    head = _PNM.match(data)
+    head = _PNM.match(data[:_PNM_HEAD])
     if head is None:
         raise DamagedError("is damaged: its PGM/PPM header cannot be read")
     width, height, white = (int(head[i]) for i in (2, 3, 4))
     if not 0 < white <= 65535:
         raise DamagedError(f"is damaged: its PGM/PPM maximum is {white}")
-    wanted = width * height * (1 if head[1] == b"5" else 3) * (1 if white < 256 else 2)
+    pixel_bytes = (1 if head[1] == b"5" else 3) * (1 if white < 256 else 2)
+    wanted = width * height * pixel_bytes
     if len(data) - head.end() < wanted:
         raise DamagedError(f"is cut off: {len(data) - head.end()} of {wanted} bytes of picture data")
-    return Header("PGM" if head[1] == b"5" else "PPM", width, height, white)
+    return Header("PGM" if head[1] == b"5" else "PPM", width, height, white, pixel_bytes)
 
 
 def _tiff(data: bytes) -> Header:
-    tags = _ifd(data, None)
+    tags = _ifd(data, None, _TIFF_TAGS)
     try:
         width, height = tags[256][0], tags[257][0]
         offsets, counts = tags.get(273) or tags[324], tags.get(279) or tags[325]
@@ -160,26 +187,35 @@ def _tiff(data: bytes) -> Header:
         raise DamagedError("is damaged: a TIFF without size or picture data") from None
     if len(offsets) != len(counts) or any(o + n > len(data) for o, n in zip(offsets, counts, strict=True)):
         raise DamagedError("is cut off: TIFF picture data leaves the file")
-    return Header("TIFF", width, height)
+    bits = max(tags.get(258) or (1,), default=1)
+    samples = max(tags.get(277) or (1,), default=1)
+    palette = 3 in (tags.get(262) or ())
+    return Header("TIFF", width, height, pixel_bytes=max(3 if palette else 1, -(-bits // 8) * samples))
 
 
 def _exif_of_tiff(data: bytes) -> tuple[str, str | None, str | None] | None:
     if data[:4] not in {b"II*\0", b"MM\0*"}:
         return None
-    pointer = _ifd(data, None).get(0x8769)
+    pointer = _ifd(data, None, _EXIF_POINTER).get(0x8769)
     if not pointer:
         return None
-    exif = _ifd(data, pointer[0])
+    exif = _ifd(data, pointer[0], _EXIF_TIMES)
     taken = _text(exif.get(0x9003))
     return None if taken is None else (taken, _text(exif.get(0x9291)), _text(exif.get(0x9011)))
 
 
 def _text(values: tuple[int, ...] | None) -> str | None:
-    return None if values is None else bytes(values).split(b"\0")[0].decode("ascii", "replace").strip() or None
+    if values is None or any(value > 255 for value in values):  # numbers where text belongs
+        return None
+    return bytes(values).split(b"\0")[0].decode("ascii", "replace").strip() or None
 
 
-def _ifd(data: bytes, at: int | None) -> dict[int, tuple[int, ...]]:
-    """Tags of an image file directory that hold whole numbers or text (text as its bytes)."""
+def _ifd(data: bytes, at: int | None, wanted: frozenset[int]) -> dict[int, tuple[int, ...]]:
+    """Those tags of an image file directory that hold whole numbers or text (text as its bytes).
+
+    A tag that comes twice counts the first time, as libtiff has it. Others than the wanted are not even looked at: each
+    of sixty thousand entries may claim the whole file for its value.
+    """
     order = "<" if data[:2] == b"II" else ">"
     try:
         where = struct.unpack_from(order + "I", data, 4)[0] if at is None else at
@@ -188,7 +224,7 @@ def _ifd(data: bytes, at: int | None) -> dict[int, tuple[int, ...]]:
         for i in range(entries):
             tag, kind, count = struct.unpack_from(order + "HHI", data, where + 2 + 12 * i)
             width = _TIFF_SIZES.get(kind)
-            if width is None or width * count > len(data):
+            if tag not in wanted or tag in tags or width is None or width * count > len(data):
                 continue
             place = where + 10 + 12 * i
             if width * count > 4:

@@ -24,6 +24,8 @@ from sagnode.quality import Cause
 
 MAX_PIXELS = 64_000_000
 """Largest picture that is decoded: five times the largest Raspberry Pi camera's, and 64 MB of grey."""
+MAX_DECODED_BYTES = 3 * MAX_PIXELS
+"""8-bit colour, or 16-bit grey, of that size; a small file may claim four channels of 16 bits."""
 MIN_SIDE = 16
 MAX_FILE_BYTES = 8 * MAX_PIXELS
 """No uncompressed picture of MAX_PIXELS is larger (4 channels of 16 bits)."""
@@ -131,6 +133,9 @@ def _check_size(header: Header, source: str) -> None:
             f"{source} claims {header.width}x{header.height} px; at most {MAX_PIXELS // 1_000_000} megapixels are read",
             "use the camera's own size",
         )
+    decoded = header.width * header.height * header.pixel_bytes
+    if decoded > MAX_DECODED_BYTES:
+        raise _bad(f"{source} would take {decoded} bytes, more than {MAX_DECODED_BYTES}", "store it as 8-bit grey")
     if min(header.width, header.height) < MIN_SIDE:
         raise _bad(f"{source} is {header.width}x{header.height} px; at least {MIN_SIDE} a side are needed", _REMEDY)
 
@@ -164,7 +169,9 @@ def _decode(data: bytes) -> tuple[NDArray[Any] | None, list[str]]:
             os.close(kept)
         sink.seek(0)
         said = sink.read().decode("utf-8", "replace").splitlines()
-    others = [line for line in said if not line.startswith((*_COMPLAINTS, "libpng", "[ WARN", "[ERROR", "imdecode_"))]
+    others = [
+        line for line in said if line and not line.startswith((*_COMPLAINTS, "libpng", "[ WARN", "[ERROR", "imdecode_"))
+    ]
     if others:
         os.write(2, "\n".join([*others, ""]).encode())
     return pixels, said

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import cv2
 
-from sagnode.capture.images import read_grey, to_grey8
+from sagnode.capture.images import MAX_PIXELS, read_grey, to_grey8
 from sagnode.capture.port import GreyImage
 from sagnode.capture.taken import name_time, taken_at
 from sagnode.errors import FrameError
@@ -136,6 +136,14 @@ class Video(Track):
             raise FrameError(
                 f"replay {self._path}: the video cannot be opened; it is damaged or of an unknown kind",
                 "convert it, for example: ffmpeg -i IN -c:v libx264 OUT.mp4",
+                Cause.BAD_FRAME,
+            )
+        width, height = (int(self._capture.get(p)) for p in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT))
+        if width * height > MAX_PIXELS:
+            what = f"replay {self._path} claims frames of {width}x{height} px"
+            raise FrameError(
+                what,
+                f"at most {MAX_PIXELS // 1_000_000} megapixels are read; use the camera's own size",
                 Cause.BAD_FRAME,
             )
 
