@@ -26,7 +26,8 @@ from sagnode.config.span import Conductor
 from sagnode.estimate.locate import LOAD_U
 from sagnode.geometry.camera import FloatArray, inside, project, projection_derivatives
 from sagnode.geometry.conductor import load_shapes, sag_profile
-from sagnode.geometry.quantities import Shape, quantities_of_many
+from sagnode.geometry.ground import GroundProfile
+from sagnode.geometry.quantities import Shape, quantities, quantities_of_many
 from sagnode.scene.catenary import WireState, profile
 from sagnode.scene.optics import exposure_and_gain, noise_level
 from sagnode.scene.spec import Moment, Scene
@@ -36,7 +37,6 @@ from sagnode.survey import ATTACHMENTS, CAMERA, LOAD, SAG, SWING, Survey
 
 ROUNDING = 1 / 12
 """Variance of rounding to whole grey levels."""
-GROUND_STEMS = ("clearance", "midspan_clearance")
 
 
 def limits(site: Site, scene: Scene, moment: Moment, seen: dict[str, tuple[Seen, ...]]) -> dict[str, dict[str, float]]:
@@ -73,14 +73,31 @@ def limit(
             weight = information_per_pixel(wire, moment)
             information += (jacobian[kept] * weight[kept, None]).T @ jacobian[kept]
     covariance = np.linalg.inv(information[np.ix_(free, free)])
-    values, gradients = _gradients(site, conductor, survey, theta, free)
+    stems, gradients = _gradients(site, conductor, survey, theta, free)
+    values = quantities(survey.shape(theta), site.ground)
+    shape = survey.shape(theta)
+    places = {
+        "clearance": values["clearance_along"],
+        "midspan_clearance": float(np.hypot(*(shape.far - shape.near)[:2])) / 2,
+    }
     result = {}
-    for stem, gradient in zip(values, gradients.T, strict=True):
+    for stem, gradient in zip(stems, gradients.T, strict=True):
         variance = float(gradient @ covariance @ gradient)
-        if stem in GROUND_STEMS:
-            variance += site.ground.height_u**2
+        if stem in places:
+            variance += ground_variance(site.ground, places[stem])
         result[stem] = float(np.sqrt(variance))
     return result
+
+
+def ground_variance(ground: GroundProfile, along: float) -> float:
+    """Variance of the height below a place: between two points of the profile their errors average out in part."""
+    for start, end, top in ground.obstacles:
+        if start <= along <= end and top >= np.interp(along, ground.along, ground.height):
+            return ground.height_u**2
+    after = int(np.clip(np.searchsorted(ground.along, along), 1, len(ground.along) - 1))
+    before, beyond = ground.along[after - 1], ground.along[after]
+    share = float(np.clip((along - before) / (beyond - before), 0.0, 1.0))
+    return ground.height_u**2 * ((1 - share) ** 2 + share**2)
 
 
 def information_per_pixel(wire: Seen, moment: Moment) -> FloatArray:
