@@ -71,7 +71,7 @@ def test_json_tells_the_same_to_a_program(span_file: Path, capsys: Capture) -> N
     assert document["table"] == []
     told = document["plan"]["conductors"]
     assert [(one["conductor"], one["level"]) for one in told] == [
-        (name, level) for level in ("small", "middle", "large") for name in ("L1", "L2")
+        (name, level) for level in ("small", "middle", "large", "wind") for name in ("L1", "L2")
     ]
     for one in told:
         assert one["expected"] == "good"

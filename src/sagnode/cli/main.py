@@ -56,6 +56,7 @@ COMMANDS: tuple[tuple[str, tuple[tuple[str, str], ...]], ...] = (
         "Measure on pictures",
         (
             ("measure", "sag and clearance on pictures of a configured span"),
+            ("replay", "measure stored frames again: readings as JSON lines, and how they compare"),
             ("fit", "trace one conductor between two points of any photograph"),
         ),
     ),

@@ -21,9 +21,9 @@ if TYPE_CHECKING:
 
 HELP = "what accuracy a camera, a lens and a place would give, before anyone climbs"
 DESCRIPTION = """Expected uncertainty of sag and clearance of every conductor, from a span file alone: the node's own
-measurement on the frame that the planned camera would see, three sags each, with what the uncertainty is made of and
-what would help most. Calibration, reference picture and clicks need not be there yet. Several lenses or places make a
-table, and the best of them is told in full."""
+measurement on the frame that the planned camera would see, at three sags and in wind, with what the uncertainty is made
+of and what would help most. Calibration, reference picture and clicks need not be there yet. Several lenses or places
+make a table, and the best of them is told in full."""
 EPILOG = """places are metres in the site frame; --grid counts along the span from A, to the right of the line seen from
 A, and up from the ground. --sensor is imx296, imx477, imx477-binned, imx708, imx708-binned, imx219, ov5647, or width x
 height x pixel pitch in um (1456x1088x3.45); without it the size of the calibrated pictures tells.

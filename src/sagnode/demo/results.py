@@ -112,6 +112,15 @@ def delivery(journalled: Sequence[int], received: Sequence[int]) -> Delivery:
 
 def summary(points: Sequence[Point], sent: Delivery) -> list[str]:
     """The day in a few lines."""
+    return [
+        *readings_summary(points),
+        f"delivery: {sent.journalled} in the journal, {len(sent.lost)} lost, {len(sent.repeated)} repeated"
+        + (f"; lost: {_numbers(sent.lost)}" if sent.lost else ""),
+    ]
+
+
+def readings_summary(points: Sequence[Point]) -> list[str]:
+    """How many readings of which quality, and how they compare with the truth where there is one."""
     by_validity = Counter(point.validity for point in points)
     counts = ", ".join(f"{by_validity[validity]} {validity}" for validity in Validity)
     lines = [f"{len(points)} readings of {len({p.time for p in points})} frames: {counts}"]
@@ -132,10 +141,6 @@ def summary(points: Sequence[Point], sent: Delivery) -> list[str]:
                     f"{stem + ',':<10} {name + ':':<10} RMSE {100 * result.rmse:.1f} cm ({result.rmse_percent:.2f} %),"
                     f" 95 % interval holds the truth {result.covered} of {result.count} times ({share:.0f} %)"
                 )
-    lines.append(
-        f"delivery: {sent.journalled} in the journal, {len(sent.lost)} lost, {len(sent.repeated)} repeated"
-        + (f"; lost: {_numbers(sent.lost)}" if sent.lost else "")
-    )
     return lines
 
 

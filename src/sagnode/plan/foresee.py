@@ -8,8 +8,9 @@ here, and the uncertainty is what a reading of such a frame would state.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -27,10 +28,21 @@ from sagnode.plan.camera import PlannedCamera, placed, planned_site
 from sagnode.plan.frame import Look, expected_frame
 from sagnode.plan.neighbours import Neighbour, neighbours
 from sagnode.quality import Cause, Reason, Validity
+from sagnode.scene.catenary import WireState
 from sagnode.site import Site, SiteConductor
 
-SHARES = {"small": 0.1, "middle": 0.5, "large": 0.9}
-"""Where in their possible range the planned sags lie."""
+
+class Level(NamedTuple):
+    """How the wires hang."""
+
+    share: float
+    """Place of every sag in its possible range, 0 to 1."""
+    wind: float = 0.0
+    """Swing, in standard uncertainties of the survey's prior."""
+
+
+LEVELS = {"small": Level(0.1), "middle": Level(0.5), "large": Level(0.9), "wind": Level(0.5, 1.0)}
+"""What a camera is planned for."""
 _T = np.linspace(0.0, 1.0, 1001)
 
 
@@ -61,22 +73,28 @@ class Foreseen:
     """What the node found in the expected frame."""
 
 
-def foresee(span: Span, camera: PlannedCamera, share: float, look: Look) -> list[Foreseen]:
-    """Every measured conductor at one level of sag.
+def states_at(span: Span, level: Level) -> dict[str, WireState]:
+    """How every conductor of a span hangs at a level, by id."""
+    swing = level.wind * span.swing.prior_u_deg
+    return {c.id: WireState(c.sag_min_m + level.share * (c.sag_max_m - c.sag_min_m), swing) for c in span.conductors}
+
+
+def foresee(span: Span, camera: PlannedCamera, states: Mapping[str, WireState], look: Look) -> list[Foreseen]:
+    """What a frame of the planned camera would give, for every measured conductor.
 
     Args:
         span: the survey; its camera does not count.
         camera: the planned one.
-        share: place of every conductor's sag in its possible range, 0 to 1.
+        states: how every conductor hangs, by id, such as :func:`states_at` gives.
         look: what is assumed of the picture.
     """
     site = planned_site(span, camera)
-    sags = {c.id: c.sag_min_m + share * (c.sag_max_m - c.sag_min_m) for c in span.conductors}
-    image = expected_frame(placed(span, camera), site.intrinsics, sags, look)
+    image = expected_frame(placed(span, camera), site.intrinsics, states, look)
     found = locate(site, image, expected_landmarks(site))
-    curves = {c.id: _pixels(site, c, sags[c.id]) for c in site.conductors}
+    shapes = {c.id: _shape(c, states[c.id]) for c in site.conductors}
+    curves = {name: _pixels(site, shape) for name, shape in shapes.items()}
     return [
-        _foreseen(site, conductor, sags[conductor.id], found.get(conductor.id), curves)
+        _foreseen(site, conductor, shapes[conductor.id], found.get(conductor.id), curves)
         for conductor in site.conductors
         if conductor.measured
     ]
@@ -97,20 +115,20 @@ def expected_landmarks(site: Site) -> Registered:
     return Registered(solution.theta, solution.knowledge, seen, None, 0.0, 0.0)
 
 
-def _shape(conductor: SiteConductor, sag: float) -> Shape:
-    return Shape(conductor.survey.near, conductor.survey.far, sag)
+def _shape(conductor: SiteConductor, state: WireState) -> Shape:
+    return Shape(conductor.survey.near, conductor.survey.far, state.sag_m, float(np.radians(state.swing_deg)))
 
 
-def _pixels(site: Site, conductor: SiteConductor, sag: float) -> FloatArray:
+def _pixels(site: Site, shape: Shape) -> FloatArray:
     """Pixels (N, 2) of a conductor by equal steps along the span; NaN where not in the frame."""
-    pixels, _ = project(site.intrinsics, site.pose, _shape(conductor, sag).points(_T))
+    pixels, _ = project(site.intrinsics, site.pose, shape.points(_T))
     return np.where(inside(site.intrinsics, pixels)[:, None], pixels, np.nan)
 
 
 def _foreseen(
-    site: Site, conductor: SiteConductor, sag: float, found: Matched | None, curves: dict[str, FloatArray]
+    site: Site, conductor: SiteConductor, shape: Shape, found: Matched | None, curves: dict[str, FloatArray]
 ) -> Foreseen:
-    shape = _shape(conductor, sag)
+    design = quantities(shape, site.ground)
     validity, reasons = judge(site, conductor, found)
     estimates: dict[str, Estimate] = {}
     budget: dict[str, dict[str, float]] = {}
@@ -119,15 +137,16 @@ def _foreseen(
         beyond = exceeded(site, estimates)
         if validity is not Validity.INVALID and beyond:
             validity, reasons = Validity.QUESTIONABLE, [*reasons, *beyond]
-        if validity is not Validity.INVALID and abs(found.sag[0] - sag) > 5 * found.sag[1]:
-            text = f"in the expected frame another curve (sag {found.sag[0]:.2f} m) passes for this conductor"
+        sag = estimates["sag"]
+        if validity is not Validity.INVALID and abs(sag.value - design["sag"]) > 5 * sag.u:
+            text = f"in the expected frame another curve (sag {sag.value:.2f} m) passes for this conductor"
             validity, reasons = Validity.INVALID, [*reasons, Reason(Cause.AMBIGUOUS, text)]
     curve = curves[conductor.id]
     others = {name: other for name, other in curves.items() if name != conductor.id}
     return Foreseen(
         conductor=conductor.id,
-        sag_m=sag,
-        clearance_m=quantities(shape, site.ground)["clearance"],
+        sag_m=design["sag"],
+        clearance_m=design["clearance"],
         validity=validity,
         reasons=tuple(reasons),
         estimates=estimates,

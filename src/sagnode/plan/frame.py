@@ -45,16 +45,15 @@ class Look:
         return "invented country behind the wires (fields, a wood, sky), a clear day"
 
 
-def expected_frame(span: Span, intrinsics: Intrinsics, sags: Mapping[str, float], look: Look) -> GreyImage:
-    """Draw every conductor of a span at its sag; the same arguments give the same pixels.
+def expected_frame(span: Span, intrinsics: Intrinsics, states: Mapping[str, WireState], look: Look) -> GreyImage:
+    """Draw every conductor of a span as it hangs; the same arguments give the same pixels.
 
     Args:
         span: with the planned camera in its place.
         intrinsics: of that camera.
-        sags: by conductor id, m.
+        states: by conductor id.
         look: what is assumed of the picture.
     """
-    states = {c.id: WireState(sags[c.id]) for c in span.conductors}
     if look.backdrop == "plain":
         return _before_sky(span, intrinsics, states, look)
     return render(Scene(span, span, intrinsics, World(look.backdrop)), Moment(states)).image

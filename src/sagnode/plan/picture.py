@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from sagnode.config.span import Span
 from sagnode.geometry.camera import FloatArray, Intrinsics, Pose, inside, project
 from sagnode.geometry.conductor import conductor_points
-from sagnode.plan.foresee import SHARES
+from sagnode.plan.foresee import LEVELS, states_at
 from sagnode.plan.report import camera_text, millimetres
 from sagnode.plan.study import Study
 from sagnode.scene.spec import SpanFrame
@@ -38,8 +38,8 @@ def expected_view(span: Span, study: Study) -> ColourImage:
     for number, conductor in enumerate(span.conductors):
         near, far = np.array(conductor.near, dtype=float), np.array(conductor.far, dtype=float)
         colour = _WIRES[number % len(_WIRES)] if conductor.measured else _UNSEEN
-        for name, share in SHARES.items():
-            sag = conductor.sag_min_m + share * (conductor.sag_max_m - conductor.sag_min_m)
+        for name in ("small", "middle", "large"):
+            sag = states_at(span, LEVELS[name])[conductor.id].sag_m
             sheet.polyline(conductor_points(near, far, sag, 0.0, _T), colour, 2 if name == "middle" else 1)
         for end, place in (("A", near), ("B", far)):
             sheet.mark(place, f"{conductor.id} {end}", colour, ring=True)

@@ -10,7 +10,7 @@ import numpy as np
 from sagnode.config.span import Span
 from sagnode.plan.aim import best_aim
 from sagnode.plan.camera import PlannedCamera, planned_site
-from sagnode.plan.foresee import SHARES, Foreseen, foresee, worst
+from sagnode.plan.foresee import LEVELS, Foreseen, foresee, states_at, worst
 from sagnode.plan.frame import Look
 from sagnode.plan.improve import Gain, gains
 from sagnode.quality import Validity
@@ -24,7 +24,7 @@ class Study:
     camera: PlannedCamera
     site: Site
     levels: dict[str, list[Foreseen]]
-    """By name of the level (:data:`sagnode.plan.foresee.SHARES`)."""
+    """By name of the level (:data:`sagnode.plan.foresee.LEVELS`)."""
     weakest: Foreseen
     """Of the middle level: what the improvements are told for."""
     improvements: list[Gain]
@@ -54,7 +54,7 @@ class Row:
 def study(span: Span, camera: PlannedCamera, look: Look) -> Study:
     """Plan one camera at every level of sag."""
     site = planned_site(span, camera)
-    levels = {name: foresee(span, camera, share, look) for name, share in SHARES.items()}
+    levels = {name: foresee(span, camera, states_at(span, level), look) for name, level in LEVELS.items()}
     weakest = worst(levels["middle"])
     improvements = [*gains(site, weakest), *_longer_lens(span, camera, look, weakest)]
     return Study(camera, site, levels, weakest, sorted(improvements, key=lambda gain: -gain.best))
@@ -62,9 +62,10 @@ def study(span: Span, camera: PlannedCamera, look: Look) -> Study:
 
 def compare(span: Span, cameras: Iterable[PlannedCamera], look: Look) -> Iterator[Row]:
     """Plan every camera at the middle level of sag."""
+    states = states_at(span, LEVELS["middle"])
     for camera in cameras:
         site = planned_site(span, camera)
-        yield Row(camera, len(site.landmark_ids), foresee(span, camera, SHARES["middle"], look))
+        yield Row(camera, len(site.landmark_ids), foresee(span, camera, states, look))
 
 
 def best(rows: Iterable[Row]) -> Row:

@@ -161,7 +161,7 @@ def _measure(request: MeasureRequest, loaded: LoadedNode, site: Site, source: Fr
         acquired_at=frames[0].utc,
         monotonic_s=frames[0].monotonic_s,
         camera=source.describe(),
-        results=tuple(_result(measurement) for measurement in measurements),
+        results=tuple(conductor_result(measurement) for measurement in measurements),
         overlays=overlays,
         elapsed_s=elapsed,
         memory_mb=confine.resident_mb(),
@@ -169,7 +169,8 @@ def _measure(request: MeasureRequest, loaded: LoadedNode, site: Site, source: Fr
     )
 
 
-def _result(measurement: ConductorMeasurement) -> ConductorResult:
+def conductor_result(measurement: ConductorMeasurement) -> ConductorResult:
+    """A measurement as it goes through the pipe."""
     fields = {name: getattr(measurement, name) for name in ConductorResult.model_fields}
     fields["reasons"] = tuple(ReasonMessage.of(reason) for reason in measurement.reasons)
     return ConductorResult.model_validate(fields)
