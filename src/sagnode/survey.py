@@ -6,7 +6,7 @@ Unknowns θ, all small corrections to the survey but sag, swing and load::
     3:6  shift of the camera, m, site frame           13:16  shift of attachment B, m
     6    relative change of the focal length          16     in-plane sag D, m
     7:9  shift of the principal point, px             17     swing φ, rad
-    9    change of k1                                 18:24  terms of an uneven load
+    9    change of k1                                 18:28  terms of an uneven load
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ from sagnode.geometry.quantities import Shape
 CAMERA = slice(0, 10)
 ATTACHMENTS = slice(10, 16)
 SAG, SWING = 16, 17
-LOAD = slice(18, 24)
-SIZE = 24
+LOAD = slice(18, 28)
+SIZE = 28
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ class Survey:
     """Of each term of an uneven load, relative to the mean load; 0 takes the load for even."""
 
     def prior_sigma(self) -> FloatArray:
-        """Standard uncertainties of θ (24,); sag has a prior so wide that it says nothing within its range."""
+        """Standard uncertainties of θ (28,); sag has a prior so wide that it says nothing within its range."""
         sigma = np.empty(SIZE)
         sigma[0:3] = self.orientation_u
         sigma[3:6] = self.position_u
@@ -63,7 +63,7 @@ class Survey:
         return np.maximum(sigma, 1e-9)
 
     def prior_mean(self) -> FloatArray:
-        """θ₀ (24,): the survey itself, sag in the middle of its range, no swing, an even load."""
+        """θ₀ (28,): the survey itself, sag in the middle of its range, no swing, an even load."""
         mean = np.zeros(SIZE)
         mean[SAG] = 0.5 * (self.sag_range[0] + self.sag_range[1])
         return mean

@@ -77,7 +77,7 @@ class CameraSolution:
     """The camera as landmarks and survey show it.
 
     Attributes:
-        theta: estimate (24,), nothing but the camera moved from the prior's mean.
+        theta: estimate (28,), nothing but the camera moved from the prior's mean.
         knowledge: what the landmarks say, without the prior.
         residual: of the landmarks, px (N, 2).
         weight: their robust weights (N,).
@@ -115,14 +115,14 @@ class Solution:
     """A maximum a posteriori estimate.
 
     Attributes:
-        theta: estimate (24,).
-        covariance: posterior (24, 24); zero where nothing is unknown.
+        theta: estimate (28,).
+        covariance: posterior (28, 28); zero where nothing is unknown.
         residual: curve residuals, px (M,).
         weight: robust weights (M,) in [0, 1].
         inflation: factor by which the curve's variance exceeded what was expected (at least 1).
         misfit: what was minimised, at its end: residuals and corrections to the prior, each over its variance.
         converged: the last step was smaller than a hundredth of a standard uncertainty.
-        jacobian: derivatives of the residuals (M, 24).
+        jacobian: derivatives of the residuals (M, 28).
         noise: white (M,) and correlated (M, M) variances of the offsets as weighted, px².
         camera: what the landmarks said.
     """
@@ -139,7 +139,7 @@ class Solution:
     camera: CameraKnowledge
 
     def information(self, survey: Survey) -> dict[str, FloatArray]:
-        """The printed budget: the covariance split by source, Σ (P⁻¹ + Σ JᵀC⁻¹J) Σ term by term, each (24, 24)."""
+        """The printed budget: the covariance split by source, Σ (P⁻¹ + Σ JᵀC⁻¹J) Σ term by term, each (28, 28)."""
         posterior, sigma0 = self.covariance, survey.prior_sigma()
         pieces: dict[str, FloatArray] = {}
         for name, part in SOURCES.items():
@@ -207,7 +207,7 @@ def curve_residual(survey: Survey, theta: FloatArray, curve: CurveObservations) 
 
 
 def curve_terms(survey: Survey, theta: FloatArray, curve: CurveObservations) -> tuple[FloatArray, FloatArray]:
-    """Residuals (M,) of the offsets across the curve, and the curve's derivatives there by θ (M, 24)."""
+    """Residuals (M,) of the offsets across the curve, and the curve's derivatives there by θ (M, 28)."""
     intrinsics, pose = survey.camera(theta)
     # the shape at θ, and beside it for each of its eight own unknowns, in one call
     own = theta[10:18] + _SHIFTS

@@ -244,7 +244,7 @@ def _find_even(image: GreyImage, conductor: SiteConductor, survey: Survey, regis
 
 
 def _along_the_valley(image: GreyImage, found: Matched, conductor: SiteConductor) -> list[FloatArray]:
-    """Better starts θ (24,) along the direction of sag and swing that the wire seen so far leaves open.
+    """Better starts θ (28,) along the direction of sag and swing that the wire seen so far leaves open.
 
     Seen along the line, the near half of a span fixes one combination of sag and swing, and a refinement that began
     too far off may never see the far half. The posterior knows that: it is long in one direction. Curves along that

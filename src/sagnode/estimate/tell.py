@@ -83,7 +83,7 @@ def tell(
 
 
 def _values(site: Site, conductor: SiteConductor, survey: Survey, theta: FloatArray, *, calm: bool) -> Columns:
-    """Every quantity at each of θ (S, 24), arrays (S,) by stem."""
+    """Every quantity at each of θ (S, 28), arrays (S,) by stem."""
     near, far = survey.near + theta[:, 10:13], survey.far + theta[:, 13:16]
     load = theta[:, LOAD] if survey.load_u > 0 else np.empty((len(theta), 0))
     shapes = Shape(near, far, theta[:, SAG], theta[:, SWING], load)
@@ -132,7 +132,7 @@ def propagate(
 
 
 def _around(found: Matched) -> tuple[FloatArray, dict[int, float]]:
-    """θ (S, 24): the solution, a step to both sides of each of its shape's unknowns, and one deviation of swing aside.
+    """θ (S, 28): the solution, a step to both sides of each of its shape's unknowns, and one deviation of swing aside.
 
     A view from the side hardly sees swing, but it sees the vertical part of the sag: along what it leaves open, the
     sag in the swung plane grows as 1/cos(swing), which no straight line follows. The last two follow that curve.
