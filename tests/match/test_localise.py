@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from sagnode.match.localise import localise, wire_kernel
-from sagnode.match.ribbon import normals
+from sagnode.match.localise import localise, localise_beside, wire_kernel
+from sagnode.match.ribbon import normals, straighten
 
 Floats = NDArray[np.float64]
 
@@ -78,3 +78,35 @@ def test_single_precision_pictures_give_the_same() -> None:
 def test_fewer_than_two_samples_give_no_blocks() -> None:
     blocks = localise(np.zeros((50, 50), np.uint8), np.zeros((1, 2)), np.zeros((1, 2)), 1.0, 5.0)
     assert len(blocks.offset) == 0
+
+
+def test_the_surroundings_look_as_they_do_about_the_shifted_curve() -> None:
+    rng = np.random.default_rng(5)
+    image = strip(rng, 60.0, 1.5, -30, 3)
+    pixels, normal = curve(60.0)
+    shifts = [20.0, -17.0, 70.0]
+    blocks, beside = localise_beside(image, pixels, normal, 1.5, 5.0, shifts)
+    alone = localise(image, pixels, normal, 1.5, 5.0)
+    np.testing.assert_allclose(blocks.offset, alone.offset, atol=1e-9)
+    for row, shift in enumerate(shifts[:2]):
+        aside = localise(image, pixels + shift * normal, normal, 1.5, 5.0)
+        np.testing.assert_allclose(beside.snr[row], aside.snr, rtol=1e-3)
+        assert beside.inside[row].all()
+        assert np.median(beside.snr[row]) < 0.2 * np.median(blocks.snr)
+    assert not beside.inside[2].any(), "70 px aside is out of the picture"
+
+
+def test_a_ribbon_follows_the_picture_to_a_fraction_of_a_grey_level_along_any_curve() -> None:
+    v, u = np.mgrid[0:300, 0:900].astype(float)
+    image = np.rint(20 + 0.1 * u + 0.3 * v).astype(np.uint8)
+    along = np.linspace(0, 1, 700)
+    pixels = np.stack([20 + 840 * along, 150 + 100 * np.sin(4 * along)], axis=1)
+    offsets = np.arange(-20.0, 20.5, 0.5)
+    ribbon = straighten(image, pixels, normals(pixels), offsets)
+    place = pixels[:, None] + offsets[:, None] * normals(pixels)[:, None]
+    error = ribbon - (20 + 0.1 * place[..., 0] + 0.3 * place[..., 1])
+    assert np.abs(error).max() < 0.75, "one rounding of the picture, none of its own"
+    assert abs(error.mean()) < 0.05
+    np.testing.assert_allclose(
+        ribbon, straighten(image.astype(np.float32), pixels, normals(pixels), offsets), atol=0.07
+    )

@@ -11,10 +11,20 @@ from sagnode.capture.port import GreyImage
 from sagnode.estimate.joint import CurveObservations, Solution, log_odds, solve, unevenness
 from sagnode.estimate.register import Registered, moved_survey
 from sagnode.geometry.camera import FloatArray
-from sagnode.match.refine import Observed, Sighting, Track, observe, runs_near, sight, trace
+from sagnode.match.refine import (
+    Observed,
+    Sighting,
+    Track,
+    mixed_samples,
+    near_another,
+    observe,
+    runs_near,
+    sight,
+    trace,
+)
 from sagnode.match.ribbon import SIDE_OFFSET_PX, normals, pair_response
 from sagnode.match.search import Candidate, search
-from sagnode.match.templates import SAMPLES, STEP_PX, View, even_parameters
+from sagnode.match.templates import SAMPLES, STEP_PX, View
 from sagnode.site import Site, SiteConductor
 from sagnode.survey import ATTACHMENTS, LOAD, SAG, SWING, Survey
 
@@ -40,8 +50,6 @@ MAX_BLOCKS = 80
 CANDIDATES = 4
 VALLEY_NODES = 9
 """Curves along the valley that are projected; the others between them are interpolated."""
-MOST_COMPARED = 400
-"""Points of a curve from which its distance to another is taken."""
 LOAD_U = 0.3
 """Standard uncertainty of each term of an uneven load, where the picture asks for one: ice on half of the span with
 half of the conductor's own weight is a first term of 0.3."""
@@ -67,6 +75,8 @@ TILTS = (-0.6, -0.3, 0.3, 0.6)
 RIVAL_APART_PX = 3.0
 RIVAL_MIN_PX = 16
 RIVAL_WORTH_A_LOOK = 0.6
+OUTDONE = 0.83
+"""Share of the response of a refined curve below which a candidate's score promises nothing that comes near it."""
 RIVAL_RESPONSE = 2.0
 """Mean response, in grey levels, below which a stretch of curve is taken to lie on nothing."""
 
@@ -220,7 +230,10 @@ def _find_even(image: GreyImage, conductor: SiteConductor, survey: Survey, regis
     )
     results: list[Matched] = []
     for candidate in candidates:
-        if results and candidate.score < 0.6 * candidates[0].score:
+        # a curve on the wire shows at least what the search saw of it; what the search saw of others is flattered
+        if results and candidate.score < RIVAL_WORTH_A_LOOK * candidates[0].score:
+            break
+        if results and candidate.score < OUTDONE * max(r.response for r in results):
             break
         start = registered.theta.copy()
         start[ATTACHMENTS] = 0.0
@@ -258,9 +271,7 @@ def _along_the_valley(image: GreyImage, found: Matched, conductor: SiteConductor
     low, high = found.survey.sag_range
     per_unit = max(abs(direction[SAG]), 1e-9)
     reach = min(4 * length, (high - low) / per_unit)
-    t = even_parameters(found.view, float(theta[SAG]), float(theta[SWING]), SAMPLES, span_share=0.5)
-    if t.size < 2:
-        return []
+    t = found.track.t[mixed_samples(found.track, SAMPLES)]
 
     def pixels(amount: float) -> tuple[FloatArray, FloatArray]:
         moved = theta + amount * direction
@@ -311,21 +322,15 @@ def _rivalry(image: GreyImage, best: Matched, other: Matched) -> float:
     (swing_a, v_a), (swing_b, v_b) = best.swing, other.swing
     if abs(sag_a - sag_b) < 3 * np.hypot(u_a, u_b) and abs(swing_a - swing_b) < 3 * np.hypot(v_a, v_b):
         return 0.0
-    mine = _response(image, best.track.pixels, best.track.width)[_away_from(best.track, other.track)]
-    theirs = _response(image, other.track.pixels, other.track.width)[_away_from(other.track, best.track)]
+    mine = _response(image, best.track.pixels, best.track.width)[~near_another(best.track, other.track, RIVAL_APART_PX)]
+    theirs = _response(image, other.track.pixels, other.track.width)[
+        ~near_another(other.track, best.track, RIVAL_APART_PX)
+    ]
     if len(theirs) < RIVAL_MIN_PX or not np.isfinite(theirs).any() or np.nanmean(theirs) < RIVAL_RESPONSE:
         return 0.0
     own = float(np.nanmean(mine)) if np.isfinite(mine).any() else 0.0
     apart = float(np.nanmean(theirs)) / max(own, 1e-3)
     return min(apart, _merit(other) / max(_merit(best), 1e-3))
-
-
-def _away_from(track: Track, other: Track) -> NDArray[np.bool_]:
-    """Which samples (N,) of a track are more than RIVAL_APART_PX from the other curve, wherever along it."""
-    mine, theirs = (pixels[:: max(2, len(pixels) // MOST_COMPARED)] for pixels in (track.pixels, other.pixels))
-    squared = np.sum(mine**2, axis=1)[:, None] + np.sum(theirs**2, axis=1) - 2 * mine @ theirs.T
-    far: NDArray[np.bool_] = squared.min(axis=1) > RIVAL_APART_PX**2
-    return np.repeat(far, max(2, len(track.pixels) // MOST_COMPARED))[: len(track.pixels)]
 
 
 def _response(image: GreyImage, pixels: FloatArray, width: FloatArray) -> FloatArray:
@@ -372,18 +377,15 @@ def _refine(
     curve = trace(view, float(theta[SAG]), float(theta[SWING]))
     if curve is None:
         return None
-    response = _mixed_response(image, view, solution)
+    response = _mixed_response(image, curve)
     return Matched(survey, solution, view, curve, observed, offsets, response)
 
 
-def _mixed_response(image: GreyImage, view: View, solution: Solution) -> float:
+def _mixed_response(image: GreyImage, track: Track) -> float:
     """Mean response of a curve, half by length in the picture and half by length of the span, grey levels."""
-    sag, swing = float(solution.theta[SAG]), float(solution.theta[SWING])
-    t = even_parameters(view, sag, swing, SAMPLES, span_share=0.5)
-    if t.size < 2:
-        return 0.0
-    pixels, depth = view.pixels(sag, swing, t)
-    response = _response(image, pixels, view.width_px(depth))
+    some = mixed_samples(track, SAMPLES)
+    side = np.maximum(SIDE_OFFSET_PX, 0.5 * track.width[some] + 1.5)[:, None] * track.normal[some]
+    response = pair_response(image, track.pixels[some], side)
     return float(np.nanmean(response)) if np.isfinite(response).any() else 0.0
 
 

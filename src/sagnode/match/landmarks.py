@@ -20,6 +20,10 @@ NCC_MIN = 0.55
 """Least correlation of a landmark with its patch; chance company is left to the consensus to refuse."""
 AGREE_PX = 4.0
 """Landmarks that differ more than this from the shared shift, turn and scale are no longer themselves."""
+LEAST_BASELINE_PX = 50.0
+"""Distance of two landmarks below which they cannot tell turn and scale."""
+MOST_SCALED, MOST_TURNED = 0.05, 0.15
+"""Greatest change of scale, and turn (rad), of a camera that still looks at the same thing."""
 TRACK_U_PX = 0.06
 """Standard uncertainty of a tracked position for a clear landmark."""
 MIN_TEXTURE = 2.0
@@ -129,37 +133,34 @@ def _consensus(
     candidates = [(i, du, dv, c) for i, peaks in enumerate(options) for du, dv, c in peaks]
     if not candidates:
         return {}
-    clicked = np.array([p.pixel if p is not None else (np.nan, np.nan) for p in patches])
     index = np.array([c[0] for c in candidates])
-    source = clicked[index]
-    shift = np.array([[c[1], c[2]] for c in candidates])
+    clicked = np.array([p.pixel if p is not None else (np.nan, np.nan) for p in patches])
+    # pixels as complex numbers: a turn and scale is a factor
+    place = clicked[index] @ np.array([1, 1j])
+    shift = np.array([complex(c[1], c[2]) for c in candidates])
     weight = np.array([c[3] for c in candidates])
-
-    def support(predicted: FloatArray) -> tuple[float, dict[int, tuple[float, float]]]:
-        error = np.hypot(*(shift - predicted).T)
-        picked: dict[int, int] = {}
-        for k in np.argsort(error):
-            if error[k] <= AGREE_PX:
-                picked.setdefault(int(index[k]), int(k))
-        total = sum(weight[k] * (1 - 0.5 * error[k] / AGREE_PX) for k in picked.values())
-        return total, {i: (shift[k, 0], shift[k, 1]) for i, k in picked.items()}
-
-    best: tuple[float, dict[int, tuple[float, float]]] = (0.0, {})
-    for a in range(len(candidates)):
-        trial = support(np.broadcast_to(shift[a], shift.shape))
-        best = max(best, trial, key=lambda s: s[0])
-        for b in range(a + 1, len(candidates)):
-            baseline = source[b] - source[a]
-            if index[a] == index[b] or np.hypot(*baseline) < 50:
-                continue
-            # similarity as a complex factor: turn and scale from the pair
-            factor = complex(*(baseline + shift[b] - shift[a])) / complex(*baseline)
-            if abs(abs(factor) - 1) > 0.05 or abs(np.angle(factor)) > 0.15:
-                continue
-            moved = (factor - 1) * ((source[:, 0] - source[a, 0]) + 1j * (source[:, 1] - source[a, 1]))
-            trial = support(shift[a] + np.stack([moved.real, moved.imag], axis=1))
-            best = max(best, trial, key=lambda s: s[0])
-    return best[1]
+    first, second = np.triu_indices(len(candidates), 1)
+    baseline = place[second] - place[first]
+    far = np.abs(baseline) >= LEAST_BASELINE_PX
+    first, second, baseline = first[far], second[far], baseline[far]
+    factor = 1 + (shift[second] - shift[first]) / baseline
+    possible = (np.abs(np.abs(factor) - 1) <= MOST_SCALED) & (np.abs(np.angle(factor)) <= MOST_TURNED)
+    # every candidate by itself says a shift, every pair a shift, turn and scale
+    origin = np.concatenate([np.arange(len(candidates)), first[possible]])
+    gain = np.concatenate([np.zeros(len(candidates)), factor[possible] - 1])
+    predicted = shift[origin][:, None] + gain[:, None] * (place - place[origin][:, None])
+    error = np.abs(shift - predicted)
+    worth = np.where(error <= AGREE_PX, weight * (1 - 0.5 * error / AGREE_PX), 0.0)
+    # of each landmark only its nearest peak counts
+    total = np.zeros(len(origin))
+    nearest: dict[int, NDArray[np.intp]] = {}
+    for i in np.unique(index):
+        own = np.flatnonzero(index == i)
+        nearest[int(i)] = own[np.argmin(error[:, own], axis=1)]
+        total += worth[np.arange(len(origin)), nearest[int(i)]]
+    best = int(np.argmax(total))
+    picked = {i: peaks[best] for i, peaks in nearest.items() if error[best, peaks[best]] <= AGREE_PX}
+    return {i: (float(shift[k].real), float(shift[k].imag)) for i, k in picked.items()}
 
 
 def _equalised(image: GreyImage) -> GreyImage:

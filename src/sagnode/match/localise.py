@@ -32,7 +32,7 @@ FLOOR_GREY = 0.2
 """Structure below this many grey levels is taken for 8-bit rounding: it cannot make a peak."""
 ROUNDING_GREY = 0.15
 """Least noise of a block's mean profile: 8-bit rounding, averaged along the block."""
-BESIDE_SAMPLES = 16
+BESIDE_SAMPLES = 6
 """Samples along a block that suffice to see what the surroundings look like."""
 CORRELATED = 2.7
 """Variance factor of the offset for neighbouring samples sharing pixels (bilinear, ½ px apart); see the tests."""

@@ -98,6 +98,22 @@ def trace(view: View, sag: float, swing: float, margin: float = 3.0) -> Track | 
     return Track(t, pixels, normals(pixels), view.width_px(depth), arc_length(pixels))
 
 
+def mixed_samples(track: Track, count: int) -> NDArray[np.intp]:
+    """Indices (count,) of samples of a track, half of them even in the picture and half even along the span.
+
+    In a view along the line the near metres take most of the picture and the far half of the span a few pixels.
+    """
+    share = 0.5 * track.arc / track.arc[-1] + 0.5 * (track.t - track.t[0]) / (track.t[-1] - track.t[0])
+    return np.minimum(np.searchsorted(share, np.linspace(0.0, 1.0, count)), len(share) - 1)
+
+
+def near_another(track: Track, other: Track, reach: float) -> NDArray[np.bool_]:
+    """Which samples (N,) of a track have another within ``reach`` px across it."""
+    every = max(1, len(track.t) // MOST_COMPARED)
+    near = _near(track.pixels[::every], track.normal[::every], other.pixels, reach)
+    return np.repeat(near, every)[: len(track.t)]
+
+
 def observe(
     image: GreyImage, track: Track, half_range: float, others: list[FloatArray], block_px: float, shifts: int, run: int
 ) -> Observed:

@@ -18,13 +18,16 @@ from sagnode.capture.port import GreyImage
 from sagnode.geometry.camera import FloatArray, distort, projection_derivatives
 from sagnode.geometry.conductor import conductor_points, gravity_direction, loaded_profile
 from sagnode.match.ribbon import SIDE_OFFSET_PX, normals, pooled_response
-from sagnode.match.templates import STEP_PX, View, even_parameters
+from sagnode.match.templates import View, even_parameters
 
 SEARCH_SAMPLES = 64
-GROUPS = 6
+GROUPS = 5
 """Stretches of the curve that have a grid of their own."""
 MAX_TEMPLATES = 4_000
 """Beyond this a grid's steps grow, and each sample is looked for in a band instead."""
+GRID_PX, FINE_GRID_PX = 1.6, 1.0
+"""Largest movement of any sample of a curve from one template to the next; a response is ±1 px wide. The finer one is
+for sag alone, which is cheap."""
 BAND_GAIN = 1.5
 """By how much a grid's steps grow with the band in which a sample is looked for."""
 POOL_PX = 2.0
@@ -88,24 +91,28 @@ def search(
     if t.size < 2:
         return []
     spread, by_sag, by_swing = _movements(view, middle, t, attachment_u)
-    step = STEP_PX * (1 + BAND_GAIN * np.minimum(spread, POOL_PX))
+    step = GRID_PX * (1 + BAND_GAIN * np.minimum(spread, POOL_PX))
     sag_steps = by_sag * (sag_range[1] - sag_range[0]) / step
     # what swing does beyond what sag does decides whether swing is worth searching
     swing_steps = 2 * by_swing * swing_max / step
     if not float(np.percentile(swing_steps, 95)) > 4:
         swing_steps = np.zeros_like(swing_steps)
+        sag_steps *= GRID_PX / FINE_GRID_PX
     if not sag_steps.any():
         return []
     family = _Family.of(view, sag_range, t)
+    # the common grid must stay small too: steps that grow make a band of every place
+    most = np.array([sag_steps.max(), swing_steps.max()])
+    excess = max(1.0, float(np.prod(most + 1)) / MAX_TEMPLATES)
+    most /= np.sqrt(excess) if most[1] > 0 else excess
     grids = []
     for part in np.array_split(np.arange(len(t)), GROUPS):
-        n_sag, n_swing = float(sag_steps[part].max()), float(swing_steps[part].max())
-        excess = max(1.0, (n_sag + 1) * (n_swing + 1) / MAX_TEMPLATES)
-        coarser = np.sqrt(excess) if n_swing > 0 else excess
-        sags = np.linspace(*sag_range, max(2, int(np.ceil(n_sag / coarser)) + 1))
-        swings = np.linspace(-swing_max, swing_max, 2 * int(np.ceil(0.5 * n_swing / coarser)) + 1)
-        swings = swings if len(swings) > 1 else np.zeros(1)
-        grown = np.maximum(spread[part], 0.5 * step[part] * coarser if coarser > 1 else 0.0)
+        wanted = np.array([sag_steps[part].max(), swing_steps[part].max()])
+        n_sag, n_swing = np.ceil(np.minimum(wanted, most)).astype(int)
+        sags = np.linspace(*sag_range, max(2, n_sag + 1))
+        swings = np.linspace(-swing_max, swing_max, 2 * (n_swing // 2) + 3) if n_swing > 0 else np.zeros(1)
+        coarser = float(np.max(wanted / np.maximum(most, 1e-9)))
+        grown = np.maximum(spread[part], 0.5 * step[part] * coarser) if coarser > 1 else spread[part]
         grids.append((sags, swings, *_sums(image, view, family, sags[:, None], swings[None, :], part, grown)))
     sags = max((grid[0] for grid in grids), key=len)
     swings = max((grid[1] for grid in grids), key=len)
