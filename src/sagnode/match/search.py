@@ -25,9 +25,10 @@ GROUPS = 5
 """Stretches of the curve that have a grid of their own."""
 MAX_TEMPLATES = 4_000
 """Beyond this a grid's steps grow, and each sample is looked for in a band instead."""
-GRID_PX, FINE_GRID_PX = 1.6, 1.0
-"""Largest movement of any sample of a curve from one template to the next; a response is ±1 px wide. The finer one is
-for sag alone, which is cheap."""
+STEP_PX = 1.6
+"""Largest movement of any sample of a curve from one template to the next; a response is ±1 px wide."""
+SAG_ALONE = 0.6
+"""By how much the steps shrink where swing is not searched, so that finer ones are cheap."""
 BAND_GAIN = 1.5
 """By how much a grid's steps grow with the band in which a sample is looked for."""
 POOL_PX = 2.0
@@ -91,13 +92,13 @@ def search(
     if t.size < 2:
         return []
     spread, by_sag, by_swing = _movements(view, middle, t, attachment_u)
-    step = GRID_PX * (1 + BAND_GAIN * np.minimum(spread, POOL_PX))
+    step = STEP_PX * (1 + BAND_GAIN * np.minimum(spread, POOL_PX))
     sag_steps = by_sag * (sag_range[1] - sag_range[0]) / step
     # what swing does beyond what sag does decides whether swing is worth searching
     swing_steps = 2 * by_swing * swing_max / step
     if not float(np.percentile(swing_steps, 95)) > 4:
         swing_steps = np.zeros_like(swing_steps)
-        sag_steps *= GRID_PX / FINE_GRID_PX
+        sag_steps /= SAG_ALONE
     if not sag_steps.any():
         return []
     family = _Family.of(view, sag_range, t)
