@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from sagnode.cli.main import main
-from sagnode.cli.schema import NAMES, schema_files
+from sagnode.cli.schema import NAMES, file_name, schema_files
 
 COMMITTED = Path(__file__).parents[2] / "docs" / "schema"
 
@@ -16,7 +16,7 @@ COMMITTED = Path(__file__).parents[2] / "docs" / "schema"
 def test_the_committed_schemas_are_up_to_date() -> None:
     for path, text in schema_files(COMMITTED).items():
         assert path.read_text(encoding="utf-8") == text, f"{path} is stale: sagnode schema --out docs/schema"
-    assert {path.name for path in COMMITTED.iterdir()} == {f"{name}.schema.json" for name in NAMES}
+    assert {path.name for path in COMMITTED.iterdir()} == {file_name(name) for name in NAMES}
 
 
 def test_a_schema_is_printed_by_name_and_all_without(capsys: pytest.CaptureFixture[str]) -> None:

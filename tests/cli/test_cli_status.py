@@ -117,6 +117,11 @@ def test_all_is_well(node, capsys):
         ({"waiting_in_memory": 3, "health": {"journal": "disk is full"}}, "journal: disk is full"),
         ({"health": {"disk_free_mb": 12.0}}, "disk: only 12 MB free"),
         ({"health": {"throttled": True}}, "throttled"),
+        ({"health": {"trend": "contradicts its past: L1 (2 readings)"}}, "trend: contradicts its past: L1"),
+        (
+            {"alarms": [{"kind": "clearance", "conductor": "L1", "since": "2026-06-01T12:00:00Z", "text": "5.9 m"}]},
+            "alarm: clearance of L1 since",
+        ),
         ({"health": {"configuration": "reload refused"}}, "configuration: reload refused"),
         ({"written_monotonic_s": time.monotonic() - 600}, "has not shown itself for 1"),
     ],

@@ -9,17 +9,19 @@ from typing import Any
 
 from sagnode.errors import SagnodeError
 
-HELP = "JSON Schemas of the messages and of the configuration"
-DESCRIPTION = """Print the JSON Schema (draft 2020-12) of one message or configuration file, or write all of them.
-Editors that know TOML take those of node and span for completion; consumers generate their code from the others."""
+HELP = "JSON Schemas of the messages and of the configuration, and the AsyncAPI document"
+DESCRIPTION = """Print the JSON Schema (draft 2020-12) of one message or configuration file, the AsyncAPI 3 document
+of everything on MQTT (asyncapi), or write all of them. Editors that know TOML take those of node and span for
+completion; consumers generate their code from the others."""
 
-NAMES = ("reading", "status", "health", "node", "span")
+MESSAGES = ("reading", "status", "health", "alarm", "command", "reply")
+NAMES = (*MESSAGES, "node", "span", "asyncapi")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """One schema by name, or all into a directory."""
     parser.add_argument("name", nargs="?", choices=NAMES, help="the one to print; without it and --out: all, by name")
-    parser.add_argument("--out", type=Path, metavar="DIR", help="write every schema to DIR/<name>.schema.json")
+    parser.add_argument("--out", type=Path, metavar="DIR", help="write them: <name>.schema.json, asyncapi.json")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -40,27 +42,35 @@ def run(args: argparse.Namespace) -> int:
 
 def schemas() -> dict[str, dict[str, Any]]:
     """JSON Schema by name (:data:`NAMES`)."""
-    from pydantic import BaseModel
+    from pydantic import BaseModel, TypeAdapter
     from pydantic.json_schema import GenerateJsonSchema
 
+    from sagnode import __version__
+    from sagnode.asyncapi import asyncapi_document
     from sagnode.config.node import Node
     from sagnode.config.span import Span
+    from sagnode.exchange import COMMAND, AlarmMessage, ReplyMessage
     from sagnode.message import HealthMessage, Reading, StatusMessage
 
-    models: dict[str, type[BaseModel]] = dict(
-        zip(NAMES, (Reading, StatusMessage, HealthMessage, Node, Span), strict=True)
-    )
+    sent: dict[str, type[BaseModel]] = {"reading": Reading, "status": StatusMessage, "health": HealthMessage}
+    sent |= {"alarm": AlarmMessage, "reply": ReplyMessage}
+    read: dict[str, TypeAdapter[Any]] = {"command": COMMAND, "node": TypeAdapter(Node), "span": TypeAdapter(Span)}
+    found = {name: model.model_json_schema(mode="serialization") for name, model in sent.items()}
+    found |= {name: adapter.json_schema(mode="validation") for name, adapter in read.items()}
     dialect = {"$schema": GenerateJsonSchema.schema_dialect}
-    return {
-        name: dialect
-        | model.model_json_schema(mode="serialization" if name in {"reading", "status", "health"} else "validation")
-        for name, model in models.items()
-    }
+    documents = {name: dialect | schema for name, schema in found.items()}
+    documents["asyncapi"] = asyncapi_document(__version__)
+    return {name: documents[name] for name in NAMES}
 
 
 def schema_files(directory: Path) -> dict[Path, str]:
     """The files that ``--out`` writes, with their content."""
-    return {directory / f"{name}.schema.json": _text(schema) for name, schema in schemas().items()}
+    return {directory / file_name(name): _text(schema) for name, schema in schemas().items()}
+
+
+def file_name(name: str) -> str:
+    """The file of one of :data:`NAMES`; only what is a JSON Schema is called so."""
+    return f"{name}.json" if name == "asyncapi" else f"{name}.schema.json"
 
 
 def _text(document: dict[str, Any]) -> str:

@@ -228,6 +228,10 @@ def _problems(page: dict[str, Any], *, running: bool, known: bool, state_dir: Pa
     elif page["age_s"] is None or page["age_s"] > max(SILENT_S, 2 * page["deadline_s"]):
         yield f"the daemon has not shown itself for {_duration(page['age_s'])}"
     yield from _reading_problems(page, running=running)
+    for alarm in page.get("alarms", ()):
+        yield f"alarm: {alarm['kind']} of {alarm['conductor']} since {_moment(alarm['since'])}: {alarm['text']}"
+    if health.get("trend", "ok") != "ok":
+        yield f"trend: {health['trend']}"
     if running and page["broker_connected"] is False:
         yield f"broker: {health['broker']}"
     yield from _certificate_problems(health)

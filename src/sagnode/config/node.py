@@ -160,6 +160,35 @@ class Trend(Model):
     """A new level that has lasted so long, in three readings at least, is real: a slipped clamp, ice that fell off."""
 
 
+class Alarms(Model):
+    """When alarms are raised and cleared; the limits of clearance and sag are the span file's."""
+
+    raise_after: int = Field(default=2, ge=1, le=100)
+    """Readings in a row that show it."""
+    clear_after: int = Field(default=3, ge=1, le=100)
+    """Readings in a row that show the contrary."""
+    clearance_hysteresis_m: float = Field(default=0.1, ge=0)
+    """clearance_lo must exceed its limit by so much to clear."""
+    sag_hysteresis_m: float = Field(default=0.1, ge=0)
+    swing_deg: float | None = Field(default=None, gt=0)
+    """Default: swing.questionable_deg of the span file."""
+    swing_hysteresis_deg: float = Field(default=3.0, ge=0)
+    load_skew: float = Field(default=0.1, gt=0)
+    """Uneven load above this, and above four of its standard uncertainties, is suspected ice."""
+    stale_after_s: float = Field(default=7200.0, gt=0)
+    """No reading with a number for so long."""
+    pictures: bool = True
+    """Send the overlay of a conductor when an alarm of it is raised."""
+
+
+class Commands(Model):
+    """What may be asked of the node on the topic ``command``; who may ask is the broker's to say."""
+
+    enabled: bool = True
+    per_minute: int = Field(default=12, ge=1, le=600)
+    """More are answered with an error."""
+
+
 class Worker(Model):
     """The process that owns the camera and the mathematics."""
 
@@ -281,6 +310,8 @@ class Node(Model):
     schedule: Schedule
     measure: Measure = Measure()
     trend: Trend = Trend()
+    alarms: Alarms = Alarms()
+    commands: Commands = Commands()
     worker: Worker = Worker()
     recovery: Recovery = Recovery()
     storage: Storage = Storage()

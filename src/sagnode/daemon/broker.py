@@ -6,6 +6,7 @@ import os
 import re
 import socket
 import ssl
+from collections.abc import Iterable
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
@@ -14,10 +15,13 @@ import paho.mqtt.client as mqtt
 from paho.mqtt.enums import CallbackAPIVersion
 from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.properties import Properties
+from paho.mqtt.subscribeoptions import SubscribeOptions
 
 from sagnode.daemon import certificate
 
 CONNECT_TIMEOUT_S = 10.0
+RECEIVE_MAX_BYTES = 65536
+"""Largest packet that a broker may send (MQTT 5); commands are far smaller."""
 _ASKING_TIMEOUT_S = 2.0
 
 
@@ -64,13 +68,47 @@ class Broker:
             client.tls_set_context(self.tls_context())
         return client
 
-    def properties(self, packet: int = PacketTypes.PUBLISH, expiry_s: float | None = None) -> Properties | None:
-        """MQTT 5 properties of a JSON message; None for MQTT 3.1.1."""
+    def connect(self, client: mqtt.Client) -> None:
+        """Begin to connect a client of :meth:`client`; nothing large will be sent to it.
+
+        Raises:
+            OSError, ValueError: the broker is not reached.
+        """
+        properties = None
+        if self.mqtt5:
+            properties = Properties(PacketTypes.CONNECT)  # type: ignore[no-untyped-call]
+            properties.MaximumPacketSize = RECEIVE_MAX_BYTES
+        # paho spells MQTT 3.1.1's clean session in its constructor; clean_start is MQTT 5's, and its default there.
+        client.connect(self.host, self.port, self.keepalive_s, properties=properties)
+
+    def subscribe(self, client: mqtt.Client, topic: str) -> None:
+        """Subscribe to a topic of commands: retained ones are not wanted, and are to be known as such."""
+        if self.mqtt5:
+            options = SubscribeOptions(qos=1, noLocal=True, retainAsPublished=True, retainHandling=2)
+            client.subscribe(topic, options=options)
+        else:
+            client.subscribe(topic, qos=1)
+
+    def properties(
+        self,
+        packet: int = PacketTypes.PUBLISH,
+        expiry_s: float | None = None,
+        *,
+        content_type: str = "application/json",
+        correlation: bytes | None = None,
+        about: Iterable[tuple[str, str]] = (),
+    ) -> Properties | None:
+        """MQTT 5 properties of a message, of text in JSON unless told otherwise; None for MQTT 3.1.1."""
         if not self.mqtt5:
             return None
         properties = Properties(packet)  # type: ignore[no-untyped-call]
-        properties.ContentType = "application/json"
-        properties.PayloadFormatIndicator = 1
+        properties.ContentType = content_type
+        properties.PayloadFormatIndicator = 1 if content_type == "application/json" else 0
+        if correlation is not None:
+            properties.CorrelationData = correlation
+        about = list(about)
+        if about:
+            properties.UserProperty = about
         if expiry_s is not None:
             properties.MessageExpiryInterval = max(1, min(0xFFFFFFFF, int(expiry_s)))
         return properties

@@ -211,6 +211,23 @@ class Journal:
             except sqlite3.Error as error:
                 raise _cannot(self.path, error) from error
 
+    def owe_again(self, first: int, last: int) -> int:
+        """Readings from ``first`` to ``last`` are owed to the broker once more; returns how many were not.
+
+        Raises:
+            JournalError: the disk refuses; nothing was changed.
+        """
+        with self._lock:
+            try:
+                with transaction(self._db):
+                    return self._db.execute(
+                        "UPDATE readings SET fate = 'pending', delivered_at = NULL"
+                        " WHERE sequence BETWEEN ? AND ? AND fate IN ('delivered', 'local')",
+                        (first, last),
+                    ).rowcount
+            except sqlite3.Error as error:
+                raise _cannot(self.path, error) from error
+
     def prune(self, *, max_bytes: float, older_than: datetime | None) -> int:
         """Delete old readings; the newest of all is always kept, because it carries the count.
 

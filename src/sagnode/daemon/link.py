@@ -16,8 +16,9 @@ import time
 from datetime import datetime
 
 from sagnode.daemon.logs import Seldom
+from sagnode.daemon.mailbox import About, Farewell, Mailbox, Note
 from sagnode.daemon.outbox import Outbox
-from sagnode.daemon.session import FAREWELL_S, Farewell, LinkLostError, Mailbox, Session, Terms
+from sagnode.daemon.session import FAREWELL_S, LinkLostError, Session, Terms
 
 log = logging.getLogger(__name__)
 
@@ -61,6 +62,31 @@ class Link:
     def certificate_ends_at(self) -> datetime | None:
         """End of the client certificate that the next connection will use."""
         return self._terms.broker.certificate_ends_at()
+
+    def say(
+        self, topic: str, payload: bytes, *, content_type: str, correlation: bytes | None = None, about: About = ()
+    ) -> None:
+        """Publish once, not retained, below the prefix; lost where there is no connection for long.
+
+        Args:
+            topic: below the prefix.
+            payload: of the message.
+            content_type: of the payload, for MQTT 5.
+            correlation: MQTT 5 correlation data.
+            about: MQTT 5 user properties.
+        """
+        self._mailbox.drop(Note(topic, payload, content_type, correlation, about))
+        self._mailbox.nudge()
+
+    def look_again(self) -> None:
+        """Readings in the journal are owed once more."""
+        self._mailbox.look_again = True
+        self._mailbox.nudge()
+
+    @property
+    def packet_max(self) -> int:
+        """Largest packet that the broker takes, bytes."""
+        return self._mailbox.packet_max
 
     def stop(self, drain_s: float, status: bytes) -> None:
         """Send what is owed for so long, say goodbye and hang up; waits until that is done, a little longer at most."""

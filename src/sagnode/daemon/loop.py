@@ -20,6 +20,7 @@ from datetime import datetime
 from enum import Enum
 
 from sagnode.daemon.clock import Clock, StepDetector, VirtualClock
+from sagnode.daemon.dialogue import Dialogue
 from sagnode.daemon.ladder import Ladder, Rung
 from sagnode.daemon.link import Link
 from sagnode.daemon.machine import ClockTrust, Machine
@@ -109,6 +110,8 @@ class Parts:
     """Whether the readings would be kept better in another place than now; asked every ten seconds."""
     trend: Trend | None = None
     """Marks readings that contradict those before them."""
+    dialogue: Dialogue | None = None
+    """Alarms and commands."""
 
 
 class Loop:
@@ -121,6 +124,8 @@ class Loop:
         self._next_frame_at: datetime | None = None
         self._shown_at = float("-inf")
         self._called_away = Ending.RELOAD
+        self._out_of_turn = False
+        """The present reading was asked for; the next slot is still to come."""
 
     def run(self) -> Ending:
         """Measure on schedule until there is an order or no frame is left."""
@@ -144,7 +149,9 @@ class Loop:
             readings = parts.recorder.record(readings)
             if parts.link is not None:
                 parts.link.wake()
-            slot = self._next_slot(slot)
+            if parts.dialogue is not None:
+                parts.dialogue.recorded(readings, outcome.reply.overlays if outcome.reply else {}, self._clock.now())
+            slot = slot if self._out_of_turn else self._next_slot(slot)
             self._show(readings, slot, trust)
             parts.recorder.prune(self._clock.now(), clock_synced=trust.synced)
             if rung is Rung.RESTART:
@@ -193,7 +200,11 @@ class Loop:
         if isinstance(self._clock, VirtualClock):
             self._await_worker()
         steps = StepDetector(self._clock)
+        self._out_of_turn = False
         while not self._ordered():
+            if parts.dialogue is not None and parts.dialogue.wanted():
+                self._out_of_turn = slot is None or slot > self._clock.now()
+                return True
             left = self._clock.idle_s(slot) if slot is not None else float("inf")
             if left <= 0:
                 return True
@@ -255,5 +266,9 @@ class Loop:
     def _show(self, readings: Sequence[ReadingHeader], slot: datetime | None, trust: ClockTrust) -> None:
         parts = self._parts
         self._shown_at = time.monotonic()
+        if parts.dialogue is not None:
+            if not readings:
+                parts.dialogue.idle(self._clock.now())
+            parts.showcase.alarms = parts.dialogue.active
         gap_s = self._schedule.gap_s(self._clock.now())
         parts.showcase.show(readings, now=self._clock.now(), next_slot=slot, gap_s=gap_s, trust=trust)

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import contextlib
 import logging
 import os
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-
-from pydantic import ValidationError
 
 from sagnode import __version__
 from sagnode.config.load import LoadedNode
@@ -17,12 +14,15 @@ from sagnode.config.node import Mqtt, Node
 from sagnode.daemon import notify
 from sagnode.daemon.broker import Broker
 from sagnode.daemon.clock import Clock, SystemClock, VirtualClock
+from sagnode.daemon.commands import Inbox
+from sagnode.daemon.dialogue import configured_dialogue
 from sagnode.daemon.journal import Journal
 from sagnode.daemon.ladder import Ladder, Steps
 from sagnode.daemon.link import Link
 from sagnode.daemon.loop import Ending, Loop, Orders, Parts
 from sagnode.daemon.machine import Machine
 from sagnode.daemon.outbox import Outbox
+from sagnode.daemon.past import configured_trend, recent_readings
 from sagnode.daemon.pictures import Pictures
 from sagnode.daemon.places import runtime_directory, state_directory
 from sagnode.daemon.recorder import Recorder
@@ -33,9 +33,8 @@ from sagnode.daemon.show import Facts, Showcase
 from sagnode.daemon.spool import Spool
 from sagnode.daemon.stamp import Stamp
 from sagnode.daemon.store import VOLATILE_KEEP_MB, Stores
-from sagnode.errors import ConfigError, JournalError
-from sagnode.message import Identity, Reading, StatusMessage
-from sagnode.trend.watch import Trend, Watched
+from sagnode.errors import ConfigError
+from sagnode.message import Identity, StatusMessage
 from sagnode.worker.supervisor import Limits, Supervisor, command_line
 
 log = logging.getLogger(__name__)
@@ -46,8 +45,6 @@ STOP_DRAIN_S = 1.0
 """At a stop: time for what is on the wire."""
 EXIT_ANEW = 75
 """The service is to be started anew (sysexits.h: temporary failure)."""
-REMEMBER = 60
-"""Bursts of the journal that readings after a start are compared with."""
 
 
 def run(loaded: LoadedNode) -> int:
@@ -103,7 +100,12 @@ def _run_once(
         machine = Machine()
         clock = VirtualClock(datetime.now(UTC)) if node.schedule.clock == "virtual" else SystemClock()
         wording = _Wording(loaded, machine.boot_id(), clock)
-        link = _link(node.mqtt, prefix, journal, schedule, wording) if node.mqtt else None
+        conductors = {c.id: c.phase for c in loaded.span.conductors if c.measured}
+        inbox = Inbox(node.commands.per_minute, now=clock.now) if node.mqtt and node.commands.enabled else None
+        link = _link(node.mqtt, prefix, journal, schedule, wording, inbox) if node.mqtt else None
+        if inbox is not None and link is not None:
+            inbox.answer_by(link.say)
+        past = recent_readings(journal, len(conductors))
         worker = Supervisor(
             command_line(loaded.path),
             Limits(
@@ -122,7 +124,6 @@ def _run_once(
             keep_mb=min(node.storage.keep_mb, VOLATILE_KEEP_MB) if store.volatile else node.storage.keep_mb,
             spool=Spool(status_dir / "spool"),
         )
-        conductors = {c.id: c.phase for c in loaded.span.conductors if c.measured}
         ladder = _ladder(node, notifier, wording.boot_id, state_dir)
         showcase = Showcase(
             Facts(
@@ -171,7 +172,8 @@ def _run_once(
             ladder=ladder,
             accept=reloader.accept,
             reopen=lambda: stores.better(recorder.refused_s),
-            trend=_trend(loaded, journal) if node.trend.watch else None,
+            trend=configured_trend(loaded, past) if node.trend.watch else None,
+            dialogue=configured_dialogue(loaded, wording.identity, past, journal, link, inbox, state_dir),
         )
         log.info("sagnode %s, %s, state in %s", __version__, loaded.path, store.directory)
         if link is not None:
@@ -204,21 +206,6 @@ def _ladder(node: Node, notifier: notify.Notifier, boot_id: str, state_dir: Path
     )
     asked = runtime_directory()
     return Ladder(state_dir / "recovery.json", steps, boot_id, asked / "reboot-wanted" if asked else None)
-
-
-def _trend(loaded: LoadedNode, journal: Journal) -> Trend:
-    """The watch over the readings, with what the journal remembers."""
-    watched = {c.id: Watched.of(c) for c in loaded.span.conductors if c.measured}
-    trend = Trend(watched, loaded.node.trend.accept_after_s)
-    try:
-        rows = journal.recent(REMEMBER * len(watched))
-    except JournalError as error:
-        log.error("%s; readings are compared with later ones only", error)
-        rows = []
-    for row in rows:
-        with contextlib.suppress(ValidationError):  # written by another version; no past to compare with
-            trend.remember([Reading.model_validate_json(row.json)])
-    return trend
 
 
 def _beat(watchdog: notify.Watchdog, orders: Orders) -> bool:
@@ -269,7 +256,9 @@ class _Wording:
         return self.status("online", self.clock.now())
 
 
-def _link(mqtt: Mqtt, prefix: str, journal: Journal, schedule: Schedule, wording: _Wording) -> Link:
+def _link(
+    mqtt: Mqtt, prefix: str, journal: Journal, schedule: Schedule, wording: _Wording, inbox: Inbox | None
+) -> Link:
     clock = wording.clock
     gap_s = schedule.gap_s(clock.now())
     # A newest reading must not lapse before the next one can replace it.
@@ -277,7 +266,7 @@ def _link(mqtt: Mqtt, prefix: str, journal: Journal, schedule: Schedule, wording
     outbox = Outbox(journal, inflight=mqtt.inflight, backlog_per_s=mqtt.backlog_per_s, expiry_s=expiry_s, now=clock.now)
     broker = configured_broker(mqtt, mqtt.client_id or f"sagnode-{wording.identity.unit}")
     will = wording.status("offline", None, "connection lost")
-    return Link(Terms(broker, prefix, wording.online, will, expiry_s), outbox)
+    return Link(Terms(broker, prefix, wording.online, will, expiry_s, inbox.receive if inbox else None), outbox)
 
 
 def configured_broker(mqtt: Mqtt, client_id: str) -> Broker:

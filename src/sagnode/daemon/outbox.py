@@ -153,6 +153,10 @@ class Outbox:
         self._on_the_wire.clear()
         self._from_the_start()
 
+    def look_again(self) -> None:
+        """Readings that were delivered are owed once more: go through the journal from its start."""
+        self._from_the_start()
+
     def drained(self) -> bool:
         """Whether nothing is owed that could be sent.
 

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import contextlib
 import logging
-import os
 import select
-import threading
 import time
-from collections.abc import Callable, Collection
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Protocol
 
 import paho.mqtt.client as mqtt
 from paho.mqtt.properties import Properties
@@ -17,6 +16,7 @@ from paho.mqtt.reasoncodes import ReasonCode
 
 from sagnode.daemon.broker import CONNECT_TIMEOUT_S, Broker
 from sagnode.daemon.logs import Seldom
+from sagnode.daemon.mailbox import PACKET_MAX, Farewell, Mailbox
 from sagnode.daemon.outbox import Outbox
 from sagnode.errors import JournalError
 
@@ -29,12 +29,11 @@ FAREWELL_S = 2.0
 """Longest wait for the acknowledgement of the last message."""
 
 
-@dataclass(frozen=True)
-class Farewell:
-    """How the link is to end: send what is owed until then (monotonic seconds), then say this on ``status``."""
+class Receive(Protocol):
+    """Takes a command; called in the link's thread."""
 
-    drain_until: float
-    status: bytes
+    def __call__(self, payload: bytes, *, retained: bool, correlation: bytes | None) -> None:
+        """A message, whether it was retained, and its MQTT 5 correlation data."""
 
 
 @dataclass(frozen=True)
@@ -54,6 +53,8 @@ class Terms:
     online: Callable[[], bytes]
     will: bytes
     expiry_s: float
+    receive: Receive | None = None
+    """Takes what arrives on the topic ``command``; None where no commands are taken."""
 
 
 class LinkLostError(Exception):
@@ -62,56 +63,6 @@ class LinkLostError(Exception):
     def __init__(self, text: str, *, by_broker: bool) -> None:
         super().__init__(text)
         self.by_broker = by_broker
-
-
-class Mailbox:
-    """Where the daemon's loop leaves word for the link's thread: retained documents, a nudge, the farewell."""
-
-    def __init__(self) -> None:
-        self.farewell: Farewell | None = None
-        self._documents: dict[str, bytes] = {}
-        self._unsent: set[str] = set()
-        self._lock = threading.Lock()
-        self.nudged, self._nudge = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
-
-    def put(self, topic: str, payload: bytes) -> None:
-        """Leave a document; only the newest of each topic is kept."""
-        with self._lock:
-            self._documents[topic] = payload
-            self._unsent.add(topic)
-
-    def take(self, but: Collection[str]) -> dict[str, bytes]:
-        """Documents that are not sent yet, except of these topics."""
-        with self._lock:
-            due = {topic: self._documents[topic] for topic in self._unsent if topic not in but}
-            self._unsent.difference_update(due)
-        return due
-
-    def send_all_again(self) -> None:
-        """A new connection: the broker may have forgotten."""
-        with self._lock:
-            self._unsent.update(self._documents)
-
-    @property
-    def empty(self) -> bool:
-        """Whether every document was taken."""
-        with self._lock:
-            return not self._unsent
-
-    def over(self) -> bool:
-        """Whether the time for the farewell has come, drained or not."""
-        return self.farewell is not None and time.monotonic() >= self.farewell.drain_until
-
-    def nudge(self) -> None:
-        """End the thread's wait."""
-        with contextlib.suppress(BlockingIOError):
-            os.write(self._nudge, b"n")
-
-    def clear_nudges(self) -> None:
-        """They have been seen."""
-        with contextlib.suppress(BlockingIOError):
-            while os.read(self.nudged, 4096):
-                pass
 
 
 class Session:
@@ -134,6 +85,7 @@ class Session:
         self._client.on_connect = self._on_connect
         self._client.on_disconnect = self._on_disconnect
         self._client.on_publish = self._on_publish
+        self._client.on_message = self._on_message
         self._accepted = False
         self._accepted_at = 0.0
         self._refusal = ""
@@ -151,8 +103,7 @@ class Session:
             OSError, ValueError: it was never reached.
         """
         try:
-            # paho spells MQTT 3.1.1's clean session in its constructor; clean_start is MQTT 5's, and its default there.
-            self._client.connect(self._broker.host, self._broker.port, self._broker.keepalive_s)
+            self._broker.connect(self._client)
             connack_by = time.monotonic() + CONNECT_TIMEOUT_S
             while not self._accepted:
                 self._turn(0.5)
@@ -167,6 +118,7 @@ class Session:
         self._mailbox.send_all_again()
         while True:
             self._send_documents()
+            self._send_notes()
             self._send_readings()
             farewell = self._mailbox.farewell
             if farewell is not None and (self._mailbox.over() or self._drained()):
@@ -224,6 +176,9 @@ class Session:
     def _send_readings(self) -> None:
         if time.monotonic() < self._journal_again_at:
             return
+        if self._mailbox.look_again:
+            self._mailbox.look_again = False
+            self._outbox.look_again()
         try:
             # While acknowledgements keep coming they are written together, some fifty to a commit.
             if self._outbox.unwritten >= 50 or self._outbox.on_the_wire == 0 or self._quiet():
@@ -256,6 +211,16 @@ class Session:
         # One of each topic at a time: what is replaced while it is on its way goes afterwards.
         for topic, payload in self._mailbox.take(but=self._papers.values()).items():
             self._show(topic, payload, expiry_s=self._terms.expiry_s)
+
+    def _send_notes(self) -> None:
+        for note in self._mailbox.notes():
+            properties = self._broker.properties(
+                content_type=note.content_type, correlation=note.correlation, about=note.about
+            )
+            full = f"{self._terms.prefix}/{note.topic}"
+            if not self._papers:
+                self._last_answer = time.monotonic()
+            self._papers[self._client.publish(full, note.payload, qos=1, properties=properties).mid] = note.topic
 
     def _show(self, topic: str, payload: bytes, expiry_s: float | None = None) -> None:
         if not self._papers:
@@ -302,6 +267,9 @@ class Session:
             self._refusal = f"refused: {reason}; {remedy}"
             return
         self._outbox.limit(getattr(properties, "ReceiveMaximum", 65535))
+        self._mailbox.packet_max = getattr(properties, "MaximumPacketSize", PACKET_MAX)
+        if self._terms.receive is not None:
+            self._broker.subscribe(self._client, f"{self._terms.prefix}/command")
         self._accepted = True
         self._accepted_at = time.monotonic()
         self._last_answer = time.monotonic()
@@ -320,6 +288,12 @@ class Session:
         if flags.is_disconnect_packet_from_server:
             hint = "; another client uses mqtt.client_id" if "taken over" in str(reason).lower() else ""
             self._refusal = f"the broker hung up: {reason}{hint}"
+
+    def _on_message(self, client: mqtt.Client, userdata: object, message: mqtt.MQTTMessage) -> None:
+        del client, userdata
+        if self._terms.receive is not None:
+            correlation = getattr(message.properties, "CorrelationData", None)
+            self._terms.receive(bytes(message.payload), retained=message.retain, correlation=correlation)
 
     def _on_publish(
         self, client: mqtt.Client, userdata: object, mid: int, reason: ReasonCode, properties: Properties

@@ -22,6 +22,7 @@ from sagnode.daemon.machine import ClockTrust, Machine
 from sagnode.daemon.notify import Notifier
 from sagnode.daemon.recorder import Recorder
 from sagnode.errors import JournalError
+from sagnode.exchange import AlarmMessage
 from sagnode.message import HealthMessage, Identity, ReadingHeader
 from sagnode.quality import Validity
 from sagnode.worker.supervisor import Supervisor
@@ -81,6 +82,8 @@ class Showcase:
         self._last: dict[str, dict[str, Any]] = {}
         self.configuration_note = "ok"
         """What health says of the configuration, such as a reload that was refused."""
+        self.alarms: Sequence[AlarmMessage] = ()
+        """Alarms in force."""
         self.trend_note = "ok"
         """What health says of readings that contradict those before them."""
 
@@ -128,6 +131,7 @@ class Showcase:
             "waiting_in_memory": self._recorder.waiting,
             "conductors": list(self._facts.conductors),
             "readings": self._last,
+            "alarms": [alarm.model_dump(mode="json") for alarm in self.alarms],
             "health": health.model_dump(mode="json"),
         }
         try:
