@@ -34,6 +34,7 @@ format:
 bench:
 	@scripts/setup dev
 	@$(BIN)/python benchmarks/run.py
+	@$(BIN)/python benchmarks/montecarlo.py
 	@$(BIN)/python benchmarks/performance.py
 
 deb:

@@ -154,7 +154,7 @@ def unequal_heights(span: Span, rng: Generator) -> Span:
 
 
 def day(setting: Setting) -> Iterable[Shot]:
-    """Twelve frames from 3 to 21 h of a day: temperature, load, sun and wind make sag and swing; a shower may pass."""
+    """Six frames from 3 to 21 h of a day: temperature, load, sun and wind make sag and swing; a shower may pass."""
     rng = setting.rng
     begin = float(rng.uniform(8.0, 17.0))
     shower = Spell((begin, begin + 1.5), rain=float(rng.uniform(0.2, 0.7)), cloud=0.95)
@@ -165,7 +165,7 @@ def day(setting: Setting) -> Iterable[Shot]:
         spells=(shower,) if rng.random() < 0.5 else (),
     )
     date = datetime(2026, 1, 15, 3, tzinfo=UTC) + timedelta(days=float(np.floor(rng.uniform(0.0, 350.0))))
-    times = [date + timedelta(hours=1.5 * k + float(rng.uniform(0.0, 1.5))) for k in range(12)]
+    times = [date + timedelta(hours=3 * k + float(rng.uniform(0.0, 3.0))) for k in range(6)]
     for moment in day_of_moments(setting.scene.true, plan, times, int(rng.integers(2**31))):
         yield Shot(setting.scene, moment, fair=moment.sun_elevation_deg > 0)
 

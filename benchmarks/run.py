@@ -44,14 +44,21 @@ def main() -> int:
     outcomes = _run_all(todo, options.jobs)
     for folder in (out, table.parent):
         folder.mkdir(parents=True, exist_ok=True)
-    # a look while developing says how it was taken, a report how it is made again
-    words = [f"--seed {seed}"] if not quick else [w for w in sys.argv[1:] if not w.startswith("--jobs")]
-    (out / "accuracy.md").write_text(report(outcomes, f"python benchmarks/run.py {' '.join(words)}"), encoding="utf-8")
+    (out / "accuracy.md").write_text(report(outcomes, _command(options, seed)), encoding="utf-8")
     write_plots(outcomes, out)
     write_csv(table, outcomes)
     print(summary(outcomes))
     print(f"\n{out / 'accuracy.md'} with its plots; every reading in {table}")
     return 0
+
+
+def _command(options: argparse.Namespace, seed: int) -> str:
+    """The command that makes the same page again."""
+    words = ["python benchmarks/run.py", f"--seed {seed}"]
+    words += [f"--groups {options.groups}"] if options.groups is not None else []
+    words += [f"--worlds {options.worlds}"] if options.worlds is not None else []
+    words += ["--no-paper"] if options.no_paper else []
+    return " ".join(words)
 
 
 def _options() -> argparse.Namespace:

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from groups import GROUPS
-from tally import Outcome, answers, changes, statistics
+from tally import Outcome, answers, changes, coverage_by_chance, statistics
 
 ENOUGH = 50
 """Readings from which a group's coverage is judged."""
@@ -21,6 +21,9 @@ class Verdict:
     wanted: str
     measured: str
     met: bool
+
+
+SEQUENCES = {group.name for group in GROUPS if group.sequence}
 
 
 def verdicts(own: Sequence[Outcome]) -> list[Verdict]:
@@ -79,14 +82,18 @@ def _limits(by_group: dict[str, list[Outcome]]) -> Iterator[Verdict]:
 
 def _intervals(by_group: dict[str, list[Outcome]]) -> Iterator[Verdict]:
     for stem in ("sag", "clearance"):
-        rows = {name: statistics(some, stem) for name, some in by_group.items()}
+        # frames of a sequence share all of the survey's errors, and hold the truth together or not at all
+        rows = {name: statistics(some, stem) for name, some in by_group.items() if name not in SEQUENCES}
         enough = {name: row for name, row in rows.items() if row and row.told >= ENOUGH}
         if not enough:
             continue
         outside = {name: row for name, row in enough.items() if not 0.925 <= row.coverage < 0.985}
-        text = f"outside in {len(outside)} of {len(enough)} groups"
+        chance = {name: coverage_by_chance(len({o.world for o in by_group[name]})) for name in outside}
+        beyond = sum(abs(row.coverage - 0.95) > chance[name] for name, row in outside.items())
+        text = f"outside in {len(outside)} of {len(enough)} groups, by more than chance in {beyond}"
         if outside:
-            text += ": " + ", ".join(f"{name} {100 * row.coverage:.0f} %" for name, row in outside.items())
+            shown = (f"{name} {100 * row.coverage:.0f} % ± {100 * chance[name]:.0f}" for name, row in outside.items())
+            text += ": " + ", ".join(shown)
         yield Verdict(f"95 % interval of {stem} holds the truth, groups of {ENOUGH}", "93 to 98 %", text, not outside)
         wide = {name: row for name, row in enough.items() if not row.width_to_limit <= 2.5}
         text = f"wider in {len(wide)} of {len(enough)} groups"
