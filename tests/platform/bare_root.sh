@@ -4,7 +4,7 @@
 #
 #   tests/platform/bare_root.sh bookworm|trixie STEP...      WORK=/var/tmp/sagnode-roots  holds the roots
 #
-# ARCH=arm64 runs all of it as a Raspberry Pi's processor would, emulated (apt install qemu-user-static binfmt-support).
+# ARCH=arm64 runs all of it as a Raspberry Pi's processor would, emulated (apt install qemu-user-static arch-test).
 #
 #   root       make the root anew
 #   test       make test, twice (the second must find everything made)

@@ -1,0 +1,21 @@
+#!/bin/bash
+# Runs in the virtual machine (vm.sh run vm_boot.sh): how long from power-on to the first reading, at the broker too?
+set -euo pipefail
+LIMIT_S=60
+fail() {
+	printf 'FAIL  %s\n' "$*"
+	journalctl --no-pager -b -u sagnode -n 40 || true
+	exit 1
+}
+first() { journalctl --no-pager -b -o short-monotonic -u sagnode | sed -n "s/^\[ *\([0-9.]*\)\].* $1.*/\1/p" | head -n 1; }
+until [ -n "$(first 'is good')" ] || [ "$(cut -d. -f1 /proc/uptime)" -gt 240 ]; do sleep 1; done
+reading=$(first 'is good')
+[ -n "$reading" ] || fail 'no good reading within four minutes'
+printf 'ok    systemd up at %s s, service ready at %s s, worker at %s s\n' \
+	"$(systemd-analyze time | sed -n 's/.*userspace) = \([^ ]*\).*/\1/p')" "$(first 'sagnode .*state in')" "$(first 'ready')"
+printf 'ok    first good readings %s s after the kernel began\n' "$reading"
+awk -v t="$reading" -v limit="$LIMIT_S" 'BEGIN {exit !(t <= limit)}' || fail "later than $LIMIT_S s"
+message=$(timeout 20 mosquitto_sub -h localhost -t 'sagnode/v1/U/L/+/vm1/measurement/L1' -C 1) || fail 'nothing at the broker'
+printf 'ok    at the broker: %s\n' "$(printf '%s' "$message" | tr ',' '\n' | grep -E '"(sag_m|sag_u|validity)"' | tr '\n' ' ')"
+systemd-analyze security sagnode --no-pager | tail -n 1
+sagnode doctor || fail 'doctor finds a fault'
