@@ -61,8 +61,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--backdrop",
         choices=("plain", "textured", "country"),
-        default="country",
-        help="what is behind the wires: an even sky, clutter, or (default) fields and a wood below a sky",
+        help="what is behind the wires: an even sky, clutter (default for models of less than 20 m), or fields and a"
+        " wood below a sky (default for all else)",
     )
     parser.add_argument(
         "--contrast", type=_positive, default=60.0, metavar="GREY", help="of a thick wire before a plain sky (60)"
@@ -86,12 +86,12 @@ def arrange(words: list[str]) -> list[str]:
 def run(args: argparse.Namespace) -> int:
     """Plan, print, draw."""
     from sagnode.config.draft import load_draft
-    from sagnode.plan.frame import Look
+    from sagnode.plan.frame import Look, usual_backdrop
     from sagnode.plan.report import row_document, study_document, study_text, table_text
     from sagnode.plan.study import best, study
 
     draft = load_draft(args.config)
-    look = Look(args.backdrop, args.contrast, args.noise)
+    look = Look(args.backdrop or usual_backdrop(draft.span), args.contrast, args.noise)
     cameras = _cameras(draft, args)
     rows = _table(draft, cameras, look) if len(cameras) > 1 else []
     told = study(draft.span, best(rows).camera if rows else cameras[0], look)
@@ -156,7 +156,8 @@ def _cameras(draft: Draft, args: argparse.Namespace) -> list[PlannedCamera]:
             f"{len(places)} places x {len(lenses)} lenses are too many", f"at most {MOST_CAMERAS} cameras"
         )
     trials = [PlannedCamera(lens, at, 0.0, 0.0, focal_mm=mm) for at in places for mm, lens in lenses]
-    cameras = [aimed(draft.span, trial) for trial in trials]
+    surveyed = (survey.azimuth_deg, survey.elevation_deg) if draft.aimed and draft.placed else None
+    cameras = [aimed(draft.span, t, surveyed if t.position == survey.position else None) for t in trials]
     # the surveyed one is what the others are compared with, where only the lens changes
     return [own, *cameras] if own is not None and not args.camera and not args.grid else cameras
 

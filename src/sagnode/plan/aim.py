@@ -12,15 +12,18 @@ Angles = tuple[float, float]
 """Azimuth and elevation, degrees."""
 
 STEEPEST_DEG = 75.0
+NEARLY = 0.15
+"""Worth that a wanted direction may lack: of twice the share in view and 0.4 for all landmarks."""
 _ROUNDS = ((13, 1.0), (9, 0.25), (9, 0.06))
 """Directions a side, and how much of the field of view they cover, from the first look to the last."""
 
 
-def best_aim(span: Span, position: FloatArray, intrinsics: Intrinsics) -> Angles:
+def best_aim(span: Span, position: FloatArray, intrinsics: Intrinsics, wanted: Angles | None = None) -> Angles:
     """Azimuth and elevation of a level camera that shows as much as can be of every measured conductor.
 
     The share of a conductor is that of its horizontal length, at its least and its greatest sag; the worst of them
-    counts as much as their mean. Landmarks count less, and being well inside the frame decides between equals.
+    counts as much as their mean. Landmarks count less, and being well inside the frame decides between equals. A wanted
+    direction is kept unless another shows clearly more.
     """
     wires = _wires(span) - position
     marks = np.array([m.position for m in span.landmarks], dtype=float).reshape(-1, 3) - position
@@ -38,6 +41,10 @@ def best_aim(span: Span, position: FloatArray, intrinsics: Intrinsics) -> Angles
             for de in offsets
         ]
         best = max(trials, key=lambda angles: _worth(angles, wires, marks, intrinsics))
+    if wanted is not None:
+        kept, other = (_worth(angles, wires, marks, intrinsics) for angles in (wanted, best))
+        if kept > other - NEARLY:
+            return wanted
     return round(_half_turn(float(best[0])), 1), round(float(best[1]), 1)
 
 

@@ -14,11 +14,13 @@ from sagnode.geometry.camera import Intrinsics
 from sagnode.scene.canvas import Air, Canvas
 from sagnode.scene.catenary import WireState
 from sagnode.scene.render import render
-from sagnode.scene.spec import Moment, Scene, World, survey_pose
+from sagnode.scene.spec import Moment, Scene, SpanFrame, World, survey_pose
 from sagnode.scene.wires import WireLook, draw_conductor
 
 Backdrop = Literal["plain", "textured", "country"]
 
+MODEL_M = 20.0
+"""Shorter spans are models, and stand in a room."""
 SKY = 170.0
 """Grey level of the even sky."""
 BLUR_PX = 0.75
@@ -29,7 +31,7 @@ BLUR_PX = 0.75
 class Look:
     """What is assumed of the picture."""
 
-    backdrop: Backdrop = "country"
+    backdrop: Backdrop
     """plain: an even sky, the best that can be; country: ground, fields and a wood below a clouded sky, all of it
     invented; textured: clutter everywhere."""
     contrast: float = 60.0
@@ -43,6 +45,11 @@ class Look:
         if self.backdrop == "textured":
             return "clutter behind all wires, a clear day"
         return "invented country behind the wires (fields, a wood, sky), a clear day"
+
+
+def usual_backdrop(span: Span) -> Backdrop:
+    """What is probably behind the wires of a span."""
+    return "country" if SpanFrame.of(span).length >= MODEL_M else "textured"
 
 
 def expected_frame(span: Span, intrinsics: Intrinsics, states: Mapping[str, WireState], look: Look) -> GreyImage:

@@ -37,7 +37,7 @@ def study_text(study: Study, look: Look) -> str:
 
 def table_text(rows: Sequence[Row]) -> str:
     """Many cameras, one line each."""
-    heads = ("position", "lens", "field", "azimuth, elevation", "landmarks", "in view", "wire, px", "u(sag)")
+    heads = ("position", "lens", "field", "azimuth, elevation", "landmarks", "in view", "wire, px", "u(sag), mm")
     cells = [(*heads, "u(clearance), mm", "of", "expected", "mostly from")]
     for row in rows:
         one = row.worst

@@ -7,14 +7,18 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sagnode.config.span import Span
-from sagnode.plan.aim import best_aim
-from sagnode.plan.camera import PlannedCamera, planned_site
+from sagnode.config.span import Landmark, Span
+from sagnode.geometry.camera import undistort
+from sagnode.plan.aim import Angles, best_aim
+from sagnode.plan.camera import PlannedCamera, placed, planned_site
 from sagnode.plan.foresee import LEVELS, Foreseen, foresee, states_at, worst
 from sagnode.plan.frame import Look
 from sagnode.plan.improve import Gain, gains
 from sagnode.quality import Validity
+from sagnode.scene.spec import SpanFrame, survey_pose
 from sagnode.site import Site
+
+MORE_LANDMARKS = "eight landmarks more, all over the picture, near and far, surveyed to 3 cm"
 
 
 @dataclass(frozen=True)
@@ -56,7 +60,10 @@ def study(span: Span, camera: PlannedCamera, look: Look) -> Study:
     site = planned_site(span, camera)
     levels = {name: foresee(span, camera, states_at(span, level), look) for name, level in LEVELS.items()}
     weakest = worst(levels["middle"])
-    improvements = [*gains(site, weakest), *_longer_lens(span, camera, look, weakest)]
+    trials = {"a lens of twice the focal length": _longer_lens, MORE_LANDMARKS: _more_landmarks}
+    improvements = gains(site, weakest)
+    for what, trial in trials.items():
+        improvements += _tried(what, *trial(span, camera), look, weakest)
     return Study(camera, site, levels, weakest, sorted(improvements, key=lambda gain: -gain.best))
 
 
@@ -80,21 +87,41 @@ def best(rows: Iterable[Row]) -> Row:
     return min(rows, key=trouble)
 
 
-def aimed(span: Span, camera: PlannedCamera) -> PlannedCamera:
-    """The camera turned to where it sees most of the span, level."""
-    azimuth, elevation = best_aim(span, np.array(camera.position), camera.intrinsics)
+def aimed(span: Span, camera: PlannedCamera, wanted: Angles | None = None) -> PlannedCamera:
+    """The camera turned to where it sees most of the span, level; ``wanted`` is kept where it is nearly as good."""
+    azimuth, elevation = best_aim(span, np.array(camera.position), camera.intrinsics, wanted)
     return replace(camera, azimuth_deg=azimuth, elevation_deg=elevation, roll_deg=0.0)
 
 
-def _longer_lens(span: Span, camera: PlannedCamera, look: Look, weakest: Foreseen) -> Iterator[Gain]:
-    """What twice the focal length would do, the camera turned to see as much as it then can."""
-    if not weakest.estimates:
-        return
+def _longer_lens(span: Span, camera: PlannedCamera) -> tuple[Span, PlannedCamera]:
+    """Twice the focal length, the camera turned to see as much as it then can."""
     lens = camera.intrinsics
     double = replace(lens, fx=2 * lens.fx, fy=2 * lens.fy, distortion=(), model="pinhole", reach=0.0)
-    (row,) = compare(span, [aimed(span, replace(camera, intrinsics=double))], look)
+    return span, aimed(span, replace(camera, intrinsics=double))
+
+
+def _more_landmarks(span: Span, camera: PlannedCamera) -> tuple[Span, PlannedCamera]:
+    """Eight landmarks more, near and far by turns, in two rows across the picture."""
+    lens = camera.intrinsics
+    columns, rows = np.meshgrid(np.array([0.12, 0.37, 0.63, 0.88]) * lens.width, np.array([0.3, 0.85]) * lens.height)
+    x, y = undistort(lens, columns.ravel(), rows.ravel())
+    depth = SpanFrame.of(span).length * np.array([0.3, 0.8, 0.3, 0.8, 0.8, 0.3, 0.8, 0.3])
+    pose = survey_pose(placed(span, camera))
+    places = (depth[:, None] * np.stack([x, y, np.ones_like(x)], axis=1)) @ pose.rotation + pose.position
+    more = tuple(
+        Landmark(id=f"new-{k}", position=(float(p[0]), float(p[1]), float(p[2])), position_u_m=0.03, pixel=(0.0, 0.0))
+        for k, p in enumerate(places, start=1)
+    )
+    return span.model_copy(update={"landmarks": (*span.landmarks, *more)}), camera
+
+
+def _tried(what: str, span: Span, camera: PlannedCamera, look: Look, weakest: Foreseen) -> Iterator[Gain]:
+    """What a change does that has to be planned anew; nothing where the node would refuse."""
+    if not weakest.estimates:
+        return
+    (row,) = compare(span, [camera], look)
     one = next(f for f in row.foreseen if f.conductor == weakest.conductor)
-    if one.validity is Validity.INVALID or not one.estimates:
+    if one.validity is Validity.INVALID:
         return
     after, before = ([f.estimates[stem].u for stem in ("sag", "clearance")] for f in (one, weakest))
-    yield Gain("a lens of twice the focal length", *after, *(1 - a / b for a, b in zip(after, before, strict=True)))
+    yield Gain(what, *after, *(1 - a / b for a, b in zip(after, before, strict=True)))
