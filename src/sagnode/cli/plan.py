@@ -61,7 +61,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--backdrop",
         choices=("plain", "textured", "country"),
-        help="what is behind the wires: an even sky, clutter (default for models of less than 20 m), or fields and a"
+        help="what is behind the wires: an even sky (default for models of less than 20 m), clutter, or fields and a"
         " wood below a sky (default for all else)",
     )
     parser.add_argument(

@@ -20,7 +20,7 @@ from sagnode.scene.wires import WireLook, draw_conductor
 Backdrop = Literal["plain", "textured", "country"]
 
 MODEL_M = 20.0
-"""Shorter spans are models, and stand in a room."""
+"""Shorter spans are models, and stand before a wall."""
 SKY = 170.0
 """Grey level of the even sky."""
 BLUR_PX = 0.75
@@ -32,7 +32,7 @@ class Look:
     """What is assumed of the picture."""
 
     backdrop: Backdrop
-    """plain: an even sky, the best that can be; country: ground, fields and a wood below a clouded sky, all of it
+    """plain: an even sky or wall, the best that can be; country: ground, fields and a wood below a clouded sky, all of it
     invented; textured: clutter everywhere."""
     contrast: float = 60.0
     """Before a plain sky: by how many grey levels a wire that fills a pixel is darker."""
@@ -49,7 +49,7 @@ class Look:
 
 def usual_backdrop(span: Span) -> Backdrop:
     """What is probably behind the wires of a span."""
-    return "country" if SpanFrame.of(span).length >= MODEL_M else "textured"
+    return "country" if SpanFrame.of(span).length >= MODEL_M else "plain"
 
 
 def expected_frame(span: Span, intrinsics: Intrinsics, states: Mapping[str, WireState], look: Look) -> GreyImage:

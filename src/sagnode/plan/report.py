@@ -232,7 +232,7 @@ def _improvements(study: Study) -> list[str]:
     ]
     rest = [gain.what for gain in study.improvements if gain.best < _SMALL_GAIN]
     lines = ["", f"Of {study.weakest.conductor} (middle), one change at a time:", *_columns(rows)]
-    return [*lines, f"  changes less than 1 %: {'; '.join(rest)}"] if rest else lines
+    return [*lines, f"  gain less than 1 %, or none: {'; '.join(rest)}"] if rest else lines
 
 
 def _change(share: float) -> str:

@@ -60,10 +60,13 @@ def study(span: Span, camera: PlannedCamera, look: Look) -> Study:
     site = planned_site(span, camera)
     levels = {name: foresee(span, camera, states_at(span, level), look) for name, level in LEVELS.items()}
     weakest = worst(levels["middle"])
-    trials = {"a lens of twice the focal length": _longer_lens, MORE_LANDMARKS: _more_landmarks}
-    improvements = gains(site, weakest)
-    for what, trial in trials.items():
-        improvements += _tried(what, *trial(span, camera), look, weakest)
+    longer = _longer_lens(span, camera)
+    direction = f"azimuth {longer.azimuth_deg:.1f}°, elevation {longer.elevation_deg:.1f}°"
+    improvements = [
+        *gains(site, weakest),
+        *_tried(f"twice the focal length ({direction})", span, longer, look, weakest),
+        *_tried(MORE_LANDMARKS, _more_landmarks(span, camera), camera, look, weakest),
+    ]
     return Study(camera, site, levels, weakest, sorted(improvements, key=lambda gain: -gain.best))
 
 
@@ -93,14 +96,14 @@ def aimed(span: Span, camera: PlannedCamera, wanted: Angles | None = None) -> Pl
     return replace(camera, azimuth_deg=azimuth, elevation_deg=elevation, roll_deg=0.0)
 
 
-def _longer_lens(span: Span, camera: PlannedCamera) -> tuple[Span, PlannedCamera]:
+def _longer_lens(span: Span, camera: PlannedCamera) -> PlannedCamera:
     """Twice the focal length, the camera turned to see as much as it then can."""
     lens = camera.intrinsics
     double = replace(lens, fx=2 * lens.fx, fy=2 * lens.fy, distortion=(), model="pinhole", reach=0.0)
-    return span, aimed(span, replace(camera, intrinsics=double))
+    return aimed(span, replace(camera, intrinsics=double))
 
 
-def _more_landmarks(span: Span, camera: PlannedCamera) -> tuple[Span, PlannedCamera]:
+def _more_landmarks(span: Span, camera: PlannedCamera) -> Span:
     """Eight landmarks more, near and far by turns, in two rows across the picture."""
     lens = camera.intrinsics
     columns, rows = np.meshgrid(np.array([0.12, 0.37, 0.63, 0.88]) * lens.width, np.array([0.3, 0.85]) * lens.height)
@@ -112,7 +115,7 @@ def _more_landmarks(span: Span, camera: PlannedCamera) -> tuple[Span, PlannedCam
         Landmark(id=f"new-{k}", position=(float(p[0]), float(p[1]), float(p[2])), position_u_m=0.03, pixel=(0.0, 0.0))
         for k, p in enumerate(places, start=1)
     )
-    return span.model_copy(update={"landmarks": (*span.landmarks, *more)}), camera
+    return span.model_copy(update={"landmarks": (*span.landmarks, *more)})
 
 
 def _tried(what: str, span: Span, camera: PlannedCamera, look: Look, weakest: Foreseen) -> Iterator[Gain]:
@@ -124,4 +127,5 @@ def _tried(what: str, span: Span, camera: PlannedCamera, look: Look, weakest: Fo
     if one.validity is Validity.INVALID:
         return
     after, before = ([f.estimates[stem].u for stem in ("sag", "clearance")] for f in (one, weakest))
-    yield Gain(what, *after, *(1 - a / b for a, b in zip(after, before, strict=True)))
+    doubt = f" (doubtful: {', '.join(r.cause for r in one.reasons)})" if one.reasons else ""
+    yield Gain(what + doubt, *after, *(1 - a / b for a, b in zip(after, before, strict=True)))
