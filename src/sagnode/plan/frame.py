@@ -32,7 +32,7 @@ class Look:
     """What is assumed of the picture."""
 
     backdrop: Backdrop
-    """plain: an even sky or wall, the best that can be; country: ground, fields and a wood below a clouded sky, all of it
+    """plain: an even sky or wall, the best that can be; country: ground, fields and a wood below a clouded sky, all
     invented; textured: clutter everywhere."""
     contrast: float = 60.0
     """Before a plain sky: by how many grey levels a wire that fills a pixel is darker."""
