@@ -1,6 +1,6 @@
-"""Peak memory of one method on one picture, in a process of its own.
+"""One method on one picture in a process of its own: its peak memory, or again and again to be looked at.
 
-python benchmarks/performance_child.py (literal|anchored|reading|burst) NODE.TOML; prints JSON
+python benchmarks/performance_child.py (literal|anchored|reading|burst|repeat) NODE.TOML; prints JSON
 """
 
 from __future__ import annotations
@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 import os
 import sys
+import time
 from pathlib import Path
 
 import cv2
@@ -17,10 +18,12 @@ from performance_methods import Anchored, Literal
 from performance_process import forget_peak, peak_kb, resident_kb
 from sagnode.capture.images import read_grey
 from sagnode.config.load import load_node
-from sagnode.pipeline import load_site, measure_burst
+from sagnode.pipeline import load_site, measure_burst, measure_frame
 
 FEW = 3
 """Templates; more of them, one after the other, take no more memory."""
+REPEAT_S = 12.0
+"""CPU seconds; at some hundred looks a second thousands of them."""
 
 
 def main() -> None:
@@ -30,6 +33,9 @@ def main() -> None:
     assert loaded.node.camera.replay is not None
     jpeg = Path(loaded.node.camera.replay.path)
     shot = Shot("child", "", loaded.span, load_site(loaded.span), read_grey(jpeg), jpeg, {})
+    if method == "repeat":
+        _repeat(shot)
+        return
     call = {
         "literal": lambda: Literal(shot, "Bézier", FEW)(),
         "anchored": lambda: Anchored(shot, 300)(),
@@ -40,6 +46,12 @@ def main() -> None:
     forget_peak(os.getpid())
     call()
     print(json.dumps({"before_kb": before, "peak_kb": peak_kb(os.getpid())}))
+
+
+def _repeat(shot: Shot) -> None:
+    began = time.process_time()
+    while time.process_time() - began < REPEAT_S:
+        measure_frame(shot.site, shot.image)
 
 
 if __name__ == "__main__":

@@ -39,7 +39,7 @@ def quick(folder: Path) -> Plan:
         widths=(728, 1456, 2912),
         burst_frames={"lab": (1, 2, 4, 8), "tower": (1, 2, 4, 8), "field": (1, 8)},
         daemon_readings=1500,
-        worker_readings=40,
+        worker_readings=150,
         idle_s=65.0,
         written_readings=120,
     )

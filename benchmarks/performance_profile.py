@@ -1,10 +1,17 @@
-"""Which functions the remaining time goes to, and the floor: the picture's samples and OpenCV's own work alone."""
+"""Which functions the remaining time goes to, and the floor: the picture's samples and OpenCV's own work alone.
+
+py-spy looks at the stack from outside some hundred times a second, so that it makes nothing slower that is looked at:
+a tracing profiler would charge Python for its own bookkeeping.
+"""
 
 from __future__ import annotations
 
-import cProfile
-import pstats
+import shutil
+import subprocess
+import sys
+import sysconfig
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
@@ -14,12 +21,16 @@ import cv2
 import numpy as np
 
 from performance_frames import Shot, shot
+from performance_node import write_node
 from performance_plan import Plan
 from performance_stages import replaced
 from sagnode.pipeline import measure_frame
 
+HERE = Path(__file__).parent
 VIEWS = ("tower", "field")
-TOP = 18
+TOP = 16
+RATE_HZ = 250
+ENTRY = "measure_frame"
 PICTURE_CALLS = ("remap", "matchTemplate", "calcOpticalFlowPyrLK", "filter2D", "sepFilter2D", "meanStdDev", "calcHist")
 """OpenCV's functions that read pixels in the pipeline; those that it does not call cost nothing here."""
 
@@ -27,63 +38,80 @@ PICTURE_CALLS = ("remap", "matchTemplate", "calcOpticalFlowPyrLK", "filter2D", "
 def measure(plan: Plan) -> dict[str, Any]:
     """By view."""
     cv2.setNumThreads(1)
-    return {name: _profile(shot(name, plan.folder), plan.rounds) for name in VIEWS}
+    return {name: _profile(plan, name) for name in VIEWS}
 
 
-def _profile(picture: Shot, rounds: int) -> dict[str, Any]:
+def _profile(plan: Plan, name: str) -> dict[str, Any]:
+    picture = shot(name, plan.folder)
+
     def work() -> object:
         return measure_frame(picture.site, picture.image)
 
     work()
-    plain = _least(work, rounds)
-    profiler = cProfile.Profile(time.process_time)
-    profiler.enable()
-    for _ in range(rounds):
-        work()
-    profiler.disable()
-    stats = pstats.Stats(profiler)
-    total = float(stats.total_tt) / rounds  # type: ignore[attr-defined]
-    scale = plain / total
-    rows = [
-        {
-            "name": _name(*function),
-            "calls": calls / rounds,
-            "own_ms": 1e3 * own / rounds * scale,
-            "cumulative_ms": 1e3 * cumulative / rounds * scale,
-        }
-        for function, (_, calls, own, cumulative, _) in stats.stats.items()  # type: ignore[attr-defined]
-    ]
-    rows.sort(key=lambda row: -row["own_ms"])
+    plain = _least(work, plan.rounds)
+    stacks = _sampled(plan, write_node(picture, plan.folder / f"node-{name}").path)
+    rows, kinds = summed(stacks, 1e3 * plain)
     return {
         "conductors": sum(c.measured for c in picture.site.conductors),
         "cpu_ms": 1e3 * plain,
-        "slowdown": total / plain,
+        "samples": sum(stacks.values()),
         "top": rows[:TOP],
-        "kinds": _kinds(rows),
-        "floor": list(_floor(picture, rounds)),
+        "kinds": kinds,
+        "floor": list(_floor(picture, plan.rounds)),
     }
 
 
-def _name(file: str, line: int, function: str) -> str:
-    if file.startswith("~") or not line:
-        return function.strip("<>")
-    path = Path(file)
-    place = path.stem if "sagnode" in file else f"numpy {path.stem}" if "numpy" in file else path.stem
-    return f"{place}.{function}"
+def _sampled(plan: Plan, node: Path) -> Counter[tuple[str, ...]]:
+    """Stacks below the pipeline's entry, from the entry to the innermost function, and how often each was seen."""
+    program = shutil.which("py-spy", path=sysconfig.get_path("scripts")) or shutil.which("py-spy")
+    if program is None:
+        raise SystemExit("py-spy is not installed: pip install 'sagnode[dev]'")
+    raw = plan.folder / "stacks.txt"
+    words = [program, "record", "--format", "raw", "--rate", str(RATE_HZ), "--output", str(raw), "--"]
+    words += [sys.executable, str(HERE / "performance_child.py"), "repeat", str(node)]
+    done = subprocess.run(words, capture_output=True, text=True, check=False)
+    if done.returncode != 0:
+        raise SystemExit(f"py-spy cannot look at a process here (it needs ptrace): {done.stderr.strip()[-300:]}")
+    stacks: Counter[tuple[str, ...]] = Counter()
+    for line in raw.read_text(encoding="utf-8").splitlines():
+        frames, _, count = line.rpartition(" ")
+        # "function (file:line)", outermost first
+        stack = tuple(frame.rpartition(":")[0] for frame in frames.split(";"))
+        begin = [k for k, frame in enumerate(stack) if frame.startswith(f"{ENTRY} (")]
+        if begin:
+            stacks[stack[begin[0] :]] += int(count)
+    return stacks
 
 
-def _kinds(rows: list[dict[str, Any]]) -> dict[str, float]:
-    """Own time, ms: OpenCV's functions, NumPy's, and Python's in this program."""
-    kinds = {"OpenCV": 0.0, "NumPy": 0.0, "sagnode's own Python": 0.0}
-    for row in rows:
-        name = row["name"]
-        if name in PICTURE_CALLS or name.startswith(("cv2", "built-in method cv2")):
-            kinds["OpenCV"] += row["own_ms"]
-        elif "numpy" in name or name.startswith(("method", "built-in")):
-            kinds["NumPy"] += row["own_ms"]
-        else:
-            kinds["sagnode's own Python"] += row["own_ms"]
-    return kinds
+def summed(stacks: Counter[tuple[str, ...]], total_ms: float) -> tuple[list[dict[str, Any]], dict[str, float]]:
+    """Time by this program's functions, and by where the innermost frame was.
+
+    Args:
+        stacks: sampled stacks, frames as ``function (file``.
+        total_ms: what all samples together stand for.
+
+    Returns:
+        Rows by own time, most first: a function's own time has that of NumPy's and OpenCV's functions it calls, but not
+        that of this program's; and time by kind of innermost frame.
+    """
+    samples = max(sum(stacks.values()), 1)
+    own: Counter[str] = Counter()
+    inside: Counter[str] = Counter()
+    kinds: Counter[str] = Counter()
+    for stack, count in stacks.items():
+        ours = [_name(frame) for frame in stack if "sagnode/" in frame]
+        own[ours[-1]] += count
+        for name in set(ours):
+            inside[name] += count
+        kinds["NumPy's Python" if "numpy/" in stack[-1] else "this program's lines, with the C they call"] += count
+    ms = total_ms / samples
+    rows = [{"name": n, "own_ms": ms * c, "cumulative_ms": ms * inside[n]} for n, c in own.most_common()]
+    return rows, {name: ms * count for name, count in kinds.most_common()}
+
+
+def _name(frame: str) -> str:
+    function, _, file = frame.partition(" (")
+    return f"{Path(file).stem}.{function}"
 
 
 def _floor(picture: Shot, rounds: int) -> Iterator[tuple[str, float]]:
@@ -99,6 +127,9 @@ def _floor(picture: Shot, rounds: int) -> Iterator[tuple[str, float]]:
             yield f"the same {len(recorded)} calls of `cv2.{name}` with the same arguments again", 1e3 * seconds
     samples = sum(int(np.size(arguments[1])) for arguments, _ in calls["remap"])
     yield "all of these together", 1e3 * whole
+    places = _places(picture, calls["remap"])
+    flat = picture.image.reshape(-1)
+    yield f"reading each of the {len(places):,} pixels under them once", 1e3 * _least(lambda: flat.take(places), rounds)
     yield (
         f"arithmetic of the line response on {samples:,} samples (three of them one response)",
         1e3 * _arithmetic(samples // 3, rounds),
@@ -131,6 +162,20 @@ def _recorded() -> Iterator[dict[str, list[tuple[tuple[Any, ...], dict[str, Any]
         for name in PICTURE_CALLS:
             stack.enter_context(replaced("cv2", name, noted(name, getattr(cv2, name))))
         yield calls
+
+
+def _places(picture: Shot, calls: list[tuple[tuple[Any, ...], dict[str, Any]]]) -> np.ndarray:
+    """Flat indices (K,) of the pixels nearest to all samples of the frame, each once."""
+    height, width = picture.image.shape
+    seen = np.zeros(height * width, dtype=bool)
+    for arguments, _ in calls:
+        source, u, v = arguments[:3]
+        if source.shape != picture.image.shape or u is None or u.ndim != 2 or v is None:
+            continue
+        column, row = (np.rint(np.asarray(part)).astype(np.int64) for part in (u, v))
+        inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
+        seen[(row * width + column)[inside]] = True
+    return np.flatnonzero(seen)
 
 
 def _arithmetic(responses: int, rounds: int) -> float:

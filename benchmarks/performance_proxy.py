@@ -78,12 +78,13 @@ class Proxy:
                     source = near if key.fileobj is near else far
                     with contextlib.suppress(ConnectionError):
                         data = source.recv(1 << 16)
+                        # counted before it goes on, so that whoever has received it finds it counted
+                        if source is near:
+                            self._up += len(data)
+                        else:
+                            self._down += len(data)
                         key.data.sendall(data)
                         if data:
-                            if source is near:
-                                self._up += len(data)
-                            else:
-                                self._down += len(data)
                             continue
                     return
 

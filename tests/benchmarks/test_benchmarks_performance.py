@@ -7,6 +7,7 @@ import socket
 import subprocess
 import sys
 import threading
+from collections import Counter
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -21,6 +22,7 @@ sys.path.insert(0, str(BENCHMARKS))
 frames = pytest.importorskip("performance_frames")
 methods = pytest.importorskip("performance_methods")
 process = pytest.importorskip("performance_process")
+profile = pytest.importorskip("performance_profile")
 proxy = pytest.importorskip("performance_proxy")
 stages = pytest.importorskip("performance_stages")
 tables = pytest.importorskip("performance_speed_tables")
@@ -156,13 +158,28 @@ def test_ratios_scale_the_templates_that_were_run_and_nothing_else():
     spent = {"undistort": 1.0, "edges": 0.5, "curve points": 0.1, "draw": 0.2, "matchTemplate": 3.0}
     rows = [
         {"case": "literal", "view": "lab", "method": "Bézier", "templates": 30, "spent": spent},
-        {"case": "own", "view": "lab", "wanted": 300, "min": 0.01},
+        {"case": "own", "view": "lab", "wanted": 300, "min": 0.02, "spent": {"locate": 0.01}},
     ]
     cases = tables.Cases(rows)
     assert sum(cases.literal("lab").values()) == pytest.approx(1.5 + 10 * 3.3)
     assert cases.ratio("lab", 300) == pytest.approx(3450.0)
     with pytest.raises(LookupError, match="0 cases"):
         cases.one("own", view="field")
+
+
+def test_sampled_stacks_are_summed_by_this_programs_functions():
+    entry, refine, numpy_ = (
+        "measure_frame (sagnode/pipeline.py",
+        "observe (sagnode/match/refine.py",
+        "cross (numpy/n.py",
+    )
+    stacks = Counter({(entry,): 1, (entry, refine): 5, (entry, refine, numpy_): 4})
+    rows, kinds = profile.summed(stacks, total_ms=100.0)
+    assert [(r["name"], r["own_ms"], r["cumulative_ms"]) for r in rows] == [
+        ("refine.observe", pytest.approx(90.0), pytest.approx(90.0)),
+        ("pipeline.measure_frame", pytest.approx(10.0), pytest.approx(100.0)),
+    ]
+    assert kinds["NumPy's Python"] == pytest.approx(40.0)
 
 
 def test_the_plan_reaches_the_cases(tmp_path):

@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
-
-import cv2
+from dataclasses import replace
 
 from sagnode.capture.port import GreyImage
 from sagnode.config.node import Measure, Method
 from sagnode.config.span import Span
 from sagnode.estimate.register import register
 from sagnode.measurement import FrameMeasurement
-from sagnode.pipeline import load_site, measure_burst
+from sagnode.pipeline import load_site
 from sagnode.reference.matching import WHOLE_FRAME
 from sagnode.reference.measure import PAPER, measure_by_reference
 from sagnode.site import Site
@@ -23,16 +20,6 @@ PRINTED = replace(PAPER, whole_map=False)
 """Correlates around the anchor only: the scores of the whole map, as the tests say, a hundred times sooner."""
 HELPED = replace(PRINTED, roi=WHOLE_FRAME, fictive_line=True)
 """Whole frame, and the lowest point of the Bézier curve looked for at mid-span in space."""
-TIMED_TEMPLATES = 30
-
-
-@dataclass(frozen=True)
-class Timing:
-    """Seconds for one frame with all its conductors."""
-
-    method: str
-    seconds: float
-    frame: str
 
 
 def by_paper(span: Span, image: GreyImage) -> Iterator[tuple[str, FrameMeasurement]]:
@@ -56,29 +43,3 @@ def registered(site: Site, image: GreyImage) -> Site:
         return site
     intrinsics, pose = site.conductors[0].survey.camera(found.theta)
     return replace(site, intrinsics=intrinsics, pose=pose)
-
-
-def timings(span: Span, image: GreyImage, name: str, repeats: int = 5) -> list[Timing]:
-    """One thread, one frame, all conductors: sagnode, and the paper's whole maps over the whole frame.
-
-    The paper's are timed with every tenth of their 300 templates and multiplied.
-    """
-    threads = cv2.getNumThreads()
-    cv2.setNumThreads(1)
-    try:
-        site = load_site(span)
-        result = [Timing("sagnode", min(_seconds(lambda: measure_burst(site, [image])) for _ in range(repeats)), name)]
-        literal = replace(PAPER, roi=WHOLE_FRAME, templates=TIMED_TEMPLATES)
-        for method in METHODS:
-            own = load_site(span, Measure(method=method))
-            seconds = _seconds(lambda own=own: measure_by_reference(own, image, literal))
-            result.append(Timing(method, seconds * PAPER.templates / TIMED_TEMPLATES, name))
-    finally:
-        cv2.setNumThreads(threads)
-    return result
-
-
-def _seconds(function) -> float:
-    start = time.perf_counter()
-    function()
-    return time.perf_counter() - start

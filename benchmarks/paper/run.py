@@ -1,0 +1,121 @@
+"""Rebuilds the paper's figure 4 and tables 3 to 9 on rendered scenes; writes them into ``docs/paper.md``.
+
+    python benchmarks/paper/run.py [--trials 30] [--field 12] [--large 2] [--out docs]
+
+Everything but the times is the same for the same options.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import cv2
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # the benchmarks beside this package
+
+from paper.figure import draw
+from paper.measuring import Result, measure
+from paper.modes import Prepared, compare_modes, free_sweep
+from paper.report import Measured, write
+from paper.scenes import FIELD_WIDTH_PX, LAB_VIEWS, field_trials, lab_trials
+from paper.timing import timing
+from sagnode.geometry.camera import Intrinsics
+from sagnode.scene.presets import LAB_CAMERA, preset
+
+ROOT = Path(__file__).resolve().parents[2]
+TEMPLATES = 300
+FREE_TEMPLATES = 30
+DEPTH_M = 2.5
+BARREL = Intrinsics(
+    960, 540, LAB_CAMERA.fx, LAB_CAMERA.fy, LAB_CAMERA.cx, LAB_CAMERA.cy, (-0.25, 0.08, 0.0002, 0.0001, 0.0)
+)
+"""Section 3.3: "one with significant barrel distortion"; its coefficients are not printed."""
+
+
+def main() -> int:
+    options = _options()
+    cv2.setNumThreads(1)
+    started = time.monotonic()
+
+    def say(text: str) -> None:
+        print(f"{time.monotonic() - started:6.0f} s  {text}", file=sys.stderr, flush=True)
+
+    with tempfile.TemporaryDirectory(prefix="sagnode-paper-") as name:
+        folder = Path(name)
+        lab: dict[tuple[str, str], list[Result]] = {}
+        for view in LAB_VIEWS:
+            for survey, scale in (("exact", 0.0), ("surveyed", 1.0)):
+                say(f"tables 3 and 4: {view}, {survey}")
+                lab[view, survey] = measure(lab_trials(view, options.trials, folder, errors=scale))
+        say("table 5")
+        repeats = {
+            "noise": measure(lab_trials("lab", options.trials, folder, same=True, seed=5)),
+            "worlds": lab["lab", "surveyed"],
+        }
+        say("figure 4")
+        few = max(3, options.trials // 3)
+        prepared = {v: [Prepared.of(t, TEMPLATES) for t in lab_trials(v, few, folder, seed=4)] for v in LAB_VIEWS}
+        modes = {view: compare_modes(some) for view, some in prepared.items()}
+        free = free_sweep(prepared["lab"], FREE_TEMPLATES)
+        say("tables 6 and 7")
+        times = timing(prepared["lab"][0].trial, options.timed)
+        say("table 8")
+        lenses = {"the printed lens": None, "a barrel lens": BARREL}
+        distortion = {
+            (words, undone): measure(lab_trials("lab", few, folder, lens=lens, seed=8), undistort=undone)
+            for words, lens in lenses.items()
+            for undone in (False, True)
+        }
+        field = _field(options, folder, say)
+        measured = Measured(
+            command=f"python benchmarks/paper/run.py --trials {options.trials} --field {options.field}"
+            f" --large {options.large}",
+            lab=lab,
+            repeats=repeats,
+            modes=modes,
+            free=free,
+            timing=times,
+            distortion=distortion,
+            field=field,
+            pixel_cm=100 * DEPTH_M / LAB_CAMERA.fy,
+        )
+        write(measured, options.out / "paper.md")
+        draw(measured, prepared["lab"][0], options.out / "paper.png")
+    say(f"wrote {options.out / 'paper.md'} and paper.png")
+    return 0
+
+
+def _field(options: argparse.Namespace, folder: Path, say) -> dict[str, list[Result]]:
+    large = preset("field")[1]
+    small = f"{FIELD_WIDTH_PX} px wide"
+    say("table 9, small sensor")
+    exact = list(field_trials(options.field, folder, width=FIELD_WIDTH_PX))
+    surveyed = list(field_trials(options.field, folder, errors=1.0, width=FIELD_WIDTH_PX, seed=2))
+    results = {
+        f"exact survey, {small}": measure(exact),
+        f"with survey errors, {small}": measure(surveyed),
+        f"with survey errors, helped, {small}": measure(surveyed, help_them=True),
+    }
+    if options.large:
+        say("table 9, 12 megapixels")
+        trials = list(field_trials(options.large, folder, errors=1.0, seed=3))
+        results[f"with survey errors, helped, {large.width} px wide"] = measure(trials, help_them=True)
+    return results
+
+
+def _options() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description="the paper's figure 4 and tables 3 to 9 on rendered scenes")
+    parser.add_argument("--trials", type=int, default=30, help="pictures of each laboratory view")
+    parser.add_argument("--field", type=int, default=12, help="pictures of the field on a small sensor")
+    parser.add_argument("--large", type=int, default=2, help="pictures of the field at 12 megapixels; 20 s each")
+    parser.add_argument("--timed", type=int, default=60, help="templates of the timed search; multiplied up to 300")
+    parser.add_argument("--out", type=Path, default=ROOT / "docs", help="folder of paper.md")
+    return parser.parse_args()
+
+
+if __name__ == "__main__":
+    sys.exit(main())
