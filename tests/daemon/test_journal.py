@@ -135,7 +135,7 @@ WRITER = textwrap.dedent(
 def test_killed_at_random_moments_it_loses_nothing_and_repeats_nothing(path):
     script = WRITER.format(here=str(Path(__file__).parent))
     acknowledged = 0
-    chance = random.Random(7)  # noqa: S311
+    chance = random.Random(7)
     for _ in range(6):
         process = subprocess.Popen([sys.executable, "-c", script, str(path)], stdout=subprocess.PIPE, text=True)
         lines = [process.stdout.readline() for _ in range(chance.randint(1, 40))]
@@ -223,7 +223,7 @@ def test_flipped_bits_never_make_a_wrong_number_nor_a_repeated_one(path):
     journal.close()
     sound = path.read_bytes()
     truth = {row.sequence: row.json for row in Journal(path).pending(0, 1000)}
-    chance = random.Random(3)  # noqa: S311
+    chance = random.Random(3)
     for round_ in range(40):
         for old in path.parent.glob("journal*"):
             old.unlink()

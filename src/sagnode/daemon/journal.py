@@ -25,13 +25,12 @@ from sagnode.daemon.journal_file import (
     checksum,
     forget_old_quarantine,
     is_damage,
-    is_sound,
     open_file,
-    salvage,
     set_aside,
     transaction,
 )
-from sagnode.daemon.sequence import Ceiling
+from sagnode.daemon.salvage import is_sound, raw_rows, salvage
+from sagnode.daemon.sequence import Ceiling, Marks
 from sagnode.daemon.wal import lost_frames
 from sagnode.errors import DiskError
 from sagnode.message import ReadingHeader
@@ -67,26 +66,35 @@ class Journal:
 
     Args:
         path: the SQLite file; its directory must exist.
+        boot_id: of this boot of the machine, to tell a power cut from a killed process; empty when it is not known.
 
     Raises:
         DiskError: the directory cannot be written.
         JournalError: the file is of a later version.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, boot_id: str = "") -> None:
         self.path = path
+        self._marks = Marks(path.with_name("open"), boot_id)
         self.note = "ok"
         """What health says of the journal."""
         self._lock = threading.RLock()
         self._suspect = False
+        self._next = 1
+        self._device: int | None = None
         self._open_or_mend()
 
     def _open_or_mend(self) -> None:
+        self._look_at_the_disk()
         self._ceiling = Ceiling(self.path.with_name("sequence"))
-        trusted = self.path.exists()
-        if lost_frames(self.path.with_name(self.path.name + "-wal")):
+        trusted = self.path.exists() and not self._marks.power_failed
+        log_file = self.path.with_name(self.path.name + "-wal")
+        behind_the_damage: dict[int, tuple[object, ...]] = {}
+        if lost_frames(log_file):
             trusted = False
             self._remark(f"{self.path.name}-wal was damaged; sequence numbers leave a gap")
+        if not trusted:
+            behind_the_damage = raw_rows([log_file])  # opening the file discards them
         try:
             self._db = open_file(self.path)
         except sqlite3.DatabaseError as error:
@@ -94,10 +102,35 @@ class Journal:
                 raise _cannot(self.path, error) from error
             trusted = False
             self._db = self._start_afresh(str(error))
+        self._take_back(behind_the_damage)
         self._count_on(self._newest(), trusted=trusted)
+        self._marks.opened()
+
+    def _take_back(self, rows: dict[int, tuple[object, ...]]) -> None:
+        """Readings that only the damaged part of the log held."""
+        if rows:
+            try:
+                with transaction(self._db):
+                    count = self._db.executemany(
+                        f"INSERT OR IGNORE{INSERT.removeprefix('INSERT')}", rows.values()
+                    ).rowcount
+            except sqlite3.Error as error:
+                raise _cannot(self.path, error) from error
+            if count > 0:
+                log.warning("journal: %d readings taken back from the damaged log", count)
+
+    def _look_at_the_disk(self) -> None:
+        """An empty mount point is not the disk that was there: counting would begin anew on it."""
+        try:
+            device = self.path.parent.stat().st_dev
+        except OSError as error:
+            raise _cannot(self.path, error) from error
+        if self._device not in {None, device}:
+            raise DiskError(f"journal {self.path}: another disk is mounted there now", "mount the node's own again")
+        self._device = device
 
     def _count_on(self, newest: int | None, *, trusted: bool) -> None:
-        self._next = self._ceiling.next_after(newest, trusted=trusted)
+        self._next = max(self._next, self._ceiling.next_after(newest, trusted=trusted))
         self._latest: dict[str, int] = dict(
             self._db.execute(
                 "SELECT conductor, max(sequence) FROM readings WHERE sequence > ? GROUP BY conductor",
@@ -264,6 +297,7 @@ class Journal:
         with self._lock, contextlib.suppress(sqlite3.Error):
             self._db.execute("PRAGMA wal_checkpoint(TRUNCATE)")
             self._db.close()
+            self._marks.closed()
 
     # -- reading
 

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import heapq
-import shutil
 import sqlite3
 import zlib
 from collections.abc import Iterator
@@ -33,9 +31,6 @@ _MIGRATIONS: dict[int, str] = {
 }
 COLUMNS = "sequence, acquired_at, conductor, validity, json, crc, fate, delivered_at"
 INSERT = f"INSERT INTO readings ({COLUMNS}) VALUES (?,?,?,?,?,?,?,?)"  # noqa: S608 - fixed words
-_SALVAGE_CHUNK = 5
-"""Where so few numbers in a row cannot be read, they are given up."""
-_SALVAGE_FAILURES_MAX = 50_000
 QUARANTINE_MAX = 3
 """So many damaged files are kept; they must not fill the card."""
 
@@ -43,7 +38,7 @@ QUARANTINE_MAX = 3
 def open_file(path: Path) -> sqlite3.Connection:
     """Open, check and migrate; raises sqlite3.DatabaseError on damage, JournalError on a later version."""
     db = sqlite3.connect(path, timeout=10.0, isolation_level=None, check_same_thread=False)
-    db.text_factory = _text
+    db.text_factory = text_of
     try:
         db.execute("PRAGMA journal_mode = WAL")
         db.execute("PRAGMA synchronous = FULL")
@@ -124,62 +119,7 @@ def forget_old_quarantine(path: Path) -> None:
             file.with_name(file.name + suffix).unlink(missing_ok=True)
 
 
-def salvage(path: Path, up_to: int) -> Iterator[tuple[object, ...]]:
-    """Rows that can still be read and pass their checksum; damage costs only its neighbours.
-
-    Args:
-        path: the damaged file, with its log beside it.
-        up_to: no number above this one was ever used.
-    """
-    seen: set[int] = set()
-    patched = path.with_name(path.name + ".salvage")
-    with contextlib.suppress(OSError):
-        shutil.copyfile(path, patched)
-        with patched.open("r+b") as stream:
-            # A file that was cut short is refused as a whole, unless its header does not vouch for the length
-            # ("version-valid-for number", https://www.sqlite.org/fileformat2.html#database_header).
-            stream.seek(92)
-            stream.write(bytes(4))
-    for file in (path, patched):
-        with contextlib.suppress(sqlite3.Error), contextlib.closing(sqlite3.connect(file, isolation_level=None)) as db:
-            db.text_factory = _text
-            for row in _readable(db, up_to):
-                sequence = row[0]
-                if is_sound(row) and isinstance(sequence, int) and sequence not in seen:
-                    seen.add(sequence)
-                    yield row
-    for suffix in ("-wal", "-shm", ""):
-        patched.with_name(patched.name + suffix).unlink(missing_ok=True)
-
-
-def is_sound(row: tuple[object, ...]) -> bool:
-    """Whether a row, with the columns of COLUMNS, is what was once written."""
-    sequence, _, conductor, _, text, crc, fate, _ = row
-    return checksum(sequence, conductor, text) == crc and fate in {"pending", "delivered", "local"}
-
-
-def _readable(db: sqlite3.Connection, up_to: int) -> Iterator[tuple[object, ...]]:
-    """Every row that comes without an error: a range of numbers that gives one is halved, the largest ranges first."""
-    query = f"SELECT {COLUMNS} FROM readings WHERE sequence > ? AND sequence <= ? ORDER BY sequence"  # noqa: S608 - fixed words
-    ranges = [(-up_to, 0)]  # a heap of (minus length, start)
-    failures = 0
-    while ranges and failures < _SALVAGE_FAILURES_MAX:
-        length, start = heapq.heappop(ranges)
-        end, reached = start - length, start
-        try:
-            for row in db.execute(query, (start, end)):
-                reached = row[0] if isinstance(row[0], int) else reached
-                yield row
-        except sqlite3.Error:
-            failures += 1
-            left = end - reached
-            if left > _SALVAGE_CHUNK:
-                half = left // 2
-                heapq.heappush(ranges, (-half, reached))
-                heapq.heappush(ranges, (half - left, reached + half))
-
-
-def _text(data: bytes) -> str:
+def text_of(data: bytes) -> str:
     """Damaged text is text all the same; its checksum tells."""
     return data.decode(errors="replace")
 

@@ -107,7 +107,7 @@ class Parts:
     accept: Callable[[], bool] = lambda: True
     """Has the configuration read anew; False: it was refused, and all goes on as it was."""
     reopen: Callable[[], bool] = lambda: False
-    """Whether the readings would be kept better in another place than now; asked every ten seconds."""
+    """Whether the readings would be kept better in another place than now; asked after every reading, at least."""
     trend: Trend | None = None
     """Marks readings that contradict those before them."""
     dialogue: Dialogue | None = None
@@ -158,6 +158,8 @@ class Loop:
                 return Ending.RESTART
             if rung is Rung.REBOOT:
                 parts.watchdog.starve()
+            if parts.reopen():
+                return Ending.REOPEN
         return Ending.STOPPED if parts.orders.stop else self._called_away
 
     def _climb(self, outcome: Outcome) -> Rung:

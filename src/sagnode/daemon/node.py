@@ -83,7 +83,7 @@ def _schedule(node: Node) -> Schedule:
 
 
 def _stores(loaded: LoadedNode) -> Stores:
-    return Stores(state_directory(loaded.node.storage.state_dir), runtime_directory())
+    return Stores(state_directory(loaded.node.storage.state_dir), runtime_directory(), Machine().boot_id())
 
 
 def _run_once(

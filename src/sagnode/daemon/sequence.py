@@ -3,11 +3,13 @@
 A small file beside the journal holds a ceiling: every number up to it may have been used. It is raised by a block,
 and forced to the disk, before a number above it is given out; one write for a thousand readings. Normally the journal
 itself says which number is next. When it is damaged, missing or older than the file, counting goes on above the
-ceiling: a consumer sees a gap, never the same number twice.
+ceiling: a consumer sees a gap, never the same number twice. So it does after a power cut: a card that says "written"
+too early may have forgotten the last readings, and nothing in the file tells.
 """
 
 from __future__ import annotations
 
+import contextlib
 from pathlib import Path
 
 from sagnode.daemon.files import write_atomic
@@ -48,6 +50,36 @@ class Ceiling:
         """
         following = (newest or 0) + 1
         return following if trusted and following > self.value - BLOCK else max(following, self.value + 1)
+
+
+class Marks:
+    """Whether the journal was closed in an orderly way, or its process ended with the power.
+
+    Args:
+        path: a small file that is there, with the boot's id, while the journal is open.
+        boot_id: of this boot; empty when it is not known, and then nothing is told.
+    """
+
+    def __init__(self, path: Path, boot_id: str) -> None:
+        self._path = path
+        self._boot_id = boot_id
+        self.power_failed = False
+        """Another boot of the machine left the journal open."""
+        with contextlib.suppress(OSError, ValueError):
+            self.power_failed = bool(boot_id) and path.read_text(encoding="ascii").strip() != boot_id
+
+    def opened(self) -> None:
+        """The journal is open, and numbers go on above what the power may have taken; :class:`OSError` is no harm."""
+        self.power_failed = False
+        if self._boot_id:
+            with contextlib.suppress(OSError):
+                write_atomic(self._path, f"{self._boot_id}\n")
+
+    def closed(self) -> None:
+        """Everything is on the disk."""
+        if self._boot_id:
+            with contextlib.suppress(OSError):
+                self._path.unlink(missing_ok=True)
 
 
 def _read(path: Path) -> int:

@@ -52,14 +52,17 @@ class Stores:
     Args:
         state_dir: the state directory.
         runtime_dir: the directory in memory, None where there is none.
+        boot_id: of this boot of the machine.
     """
 
-    def __init__(self, state_dir: Path, runtime_dir: Path | None) -> None:
+    def __init__(self, state_dir: Path, runtime_dir: Path | None, boot_id: str = "") -> None:
+        self._boot_id = boot_id
         self.state_dir = state_dir
         self._volatile_dir = runtime_dir / "volatile" if runtime_dir else None
         self._distrusted = False
         self._open: Store | None = None
         self._looked_at = float("-inf")
+        self._device: int | None = None
 
     @contextlib.contextmanager
     def opened(self) -> Iterator[Store]:
@@ -103,7 +106,8 @@ class Stores:
         try:
             with contextlib.ExitStack() as attempt:
                 attempt.enter_context(alone(self.state_dir))
-                journal = Journal(self.state_dir / JOURNAL)
+                self._expect_the_same_disk()
+                journal = Journal(self.state_dir / JOURNAL, self._boot_id)
                 try:
                     self._carry_over(journal)
                 except DiskError:
@@ -115,6 +119,13 @@ class Stores:
             if self._volatile_dir is None:
                 raise
             return self._in_memory(stack, self._volatile_dir, str(error))
+
+    def _expect_the_same_disk(self) -> None:
+        """An empty mount point must not pass for the disk that was mounted there."""
+        device = self.state_dir.stat().st_dev
+        if self._device not in {None, device}:
+            raise DiskError(f"{self.state_dir}: another disk is mounted there now", "mount the node's own again")
+        self._device = device
 
     def _in_memory(self, stack: contextlib.ExitStack, directory: Path, why: str) -> Store:
         stack.enter_context(alone(directory))
@@ -144,6 +155,7 @@ class Stores:
         probe = self.state_dir / "probe"
         try:
             with alone(self.state_dir):
+                self._expect_the_same_disk()
                 with probe.open("wb") as stream:
                     stream.write(bytes(_PROBE_BYTES))
                     stream.flush()

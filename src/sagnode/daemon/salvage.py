@@ -1,0 +1,144 @@
+"""What can still be read of a damaged journal.
+
+First SQLite is asked, range by range, so that damage costs only its neighbours. Whatever it does not find any more,
+because the way there led through a damaged page, is then looked for in the raw bytes: a reading's JSON is stored in one
+piece with its checksum behind it. Only what passes its checksum is believed.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import heapq
+import json
+import mmap
+import re
+import shutil
+import sqlite3
+from collections.abc import Iterator
+from datetime import UTC, datetime
+from pathlib import Path
+
+from sagnode.daemon.journal_file import COLUMNS, checksum, text_of
+
+_CHUNK = 5
+"""Where so few numbers in a row cannot be read, they are given up."""
+_FAILURES_MAX = 500
+"""So often SQLite is asked in vain; what it does not give by then is looked for in the bytes."""
+_JSON_MAX = 65536
+_BEGIN = re.compile(rb'\{"schema_version":"sagnode\.reading/')
+_FATES = {"pending", "delivered", "local"}
+_CRC_BYTES = (4, 6, 8, 3, 2, 1)
+"""Sizes of a whole number in SQLite's record format (https://www.sqlite.org/fileformat2.html#record_format)."""
+
+Row = tuple[object, ...]
+
+
+def salvage(path: Path, up_to: int) -> Iterator[Row]:
+    """Rows that can still be read and pass their checksum, each once.
+
+    Args:
+        path: the damaged file, with its log beside it.
+        up_to: no number above this one was ever used.
+    """
+    seen: set[int] = set()
+    patched = path.with_name(path.name + ".salvage")
+    raw = [file for file in (path, path.with_name(path.name + "-wal")) if file.exists()]
+    found = raw_rows(raw)  # before SQLite folds the log into the file
+    with contextlib.suppress(OSError):
+        shutil.copyfile(path, patched)
+        with patched.open("r+b") as stream:
+            # A file that was cut short is refused as a whole, unless its header does not vouch for the length
+            # ("version-valid-for number", https://www.sqlite.org/fileformat2.html#database_header).
+            stream.seek(92)
+            stream.write(bytes(4))
+    for file in (path, patched):
+        with contextlib.suppress(sqlite3.Error), contextlib.closing(sqlite3.connect(file, isolation_level=None)) as db:
+            db.text_factory = text_of
+            for row in _readable(db, up_to):
+                sequence = row[0]
+                if isinstance(sequence, int) and sequence not in seen and is_sound(row):
+                    seen.add(sequence)
+                    yield _owed_if_unsure(row)
+    for sequence in sorted(found.keys() - seen):
+        if sequence <= up_to:
+            yield found[sequence]
+    for suffix in ("-wal", "-shm", ""):
+        patched.with_name(patched.name + suffix).unlink(missing_ok=True)
+
+
+def is_sound(row: Row) -> bool:
+    """Whether a row, with the columns of COLUMNS, holds what was once written."""
+    sequence, _, conductor, _, text, crc, fate, _ = row
+    return checksum(sequence, conductor, text) == crc and fate != "damaged"
+
+
+def _owed_if_unsure(row: Row) -> Row:
+    """A reading whose fate cannot be read is sent again rather than never."""
+    text, crc, fate, delivered_at = row[4:]
+    return row if fate in _FATES else (*_described(str(text)), text, crc, "pending", delivered_at)
+
+
+def _described(text: str) -> Row:
+    """The columns before the text, out of the text."""
+    reading = json.loads(text)
+    acquired_at = datetime.fromisoformat(reading["acquired_at"]).astimezone(UTC).isoformat(timespec="microseconds")
+    return reading["sequence"], acquired_at, reading["conductor"], reading["quality"]["validity"]
+
+
+def _readable(db: sqlite3.Connection, up_to: int) -> Iterator[Row]:
+    """Every row that comes without an error: a range of numbers that gives one is halved, the largest ranges first."""
+    query = f"SELECT {COLUMNS} FROM readings WHERE sequence > ? AND sequence <= ? ORDER BY sequence"  # noqa: S608 - fixed words
+    ranges = [(-up_to, 0)]  # a heap of (minus length, start)
+    failures = 0
+    while ranges and failures < _FAILURES_MAX:
+        length, start = heapq.heappop(ranges)
+        end, reached = start - length, start
+        try:
+            for row in db.execute(query, (start, end)):
+                reached = row[0] if isinstance(row[0], int) else reached
+                yield row
+        except sqlite3.Error:
+            failures += 1
+            left = end - reached
+            if left > _CHUNK:
+                half = left // 2
+                heapq.heappush(ranges, (-half, reached))
+                heapq.heappush(ranges, (half - left, reached + half))
+
+
+def raw_rows(files: list[Path]) -> dict[int, Row]:
+    """Rows by their bytes alone; of several versions of one row the delivered one, for that is the later."""
+    found: dict[int, Row] = {}
+    for file in files:
+        with (
+            contextlib.suppress(OSError, ValueError),  # ValueError: an empty file
+            file.open("rb") as stream,
+            mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data,
+        ):
+            for match in _BEGIN.finditer(data):
+                row = _row_at(data[match.start() : match.start() + _JSON_MAX])
+                if row is not None and isinstance(row[0], int) and not _is_later(found.get(row[0]), row):
+                    found[row[0]] = row
+    return found
+
+
+def _is_later(known: Row | None, row: Row) -> bool:
+    return known is not None and known[6] == "delivered" and row[6] != "delivered"
+
+
+def _row_at(data: bytes) -> Row | None:
+    """The row whose JSON begins here, None when it is not whole."""
+    try:
+        # As latin-1 a character is a byte, so that the end that JSON finds is an offset into the bytes.
+        _, end = json.JSONDecoder().raw_decode(data.decode("latin-1"))
+        text = data[:end].decode()
+        before = _described(text)
+    except (ValueError, KeyError, TypeError):
+        return None
+    for size in _CRC_BYTES:
+        crc = int.from_bytes(data[end : end + size], "big", signed=True)
+        if crc == checksum(before[0], before[2], text):
+            behind = data[end + size :]
+            fate = next((name for name in _FATES if behind.startswith(name.encode())), "pending")
+            return (*before, text, crc, fate, None)
+    return None

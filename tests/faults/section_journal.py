@@ -1,0 +1,138 @@
+"""A journal that was damaged while the node was off: cut short, bits flipped, sectors lost, files gone.
+
+No number may be wrong and none be given out twice. A reading may be gone only where the damage hit its own bytes: every
+reading whose text is still whole in the damaged files must be found again.
+"""
+
+import json
+import logging
+import shutil
+import sqlite3
+import time
+from collections import Counter
+from datetime import UTC, datetime
+
+from coded import is_true
+from section_backlog import coded_reading, fill
+from table import Line
+
+from sagnode.daemon.journal import Journal
+from sagnode.daemon.journal_file import checksum
+from sagnode.daemon.sequence import BLOCK
+
+COUNT = 2000
+READINGS = 120
+
+
+def flip(random, data):
+    for _ in range(random.choice((1, 1, 2, 8, 64))):
+        data[random.randrange(len(data))] ^= 1 << random.randrange(8)
+
+
+def cut(random, data):
+    del data[random.randrange(len(data)) :]
+
+
+def lose_sectors(random, data):
+    for _ in range(random.choice((1, 1, 3, 20))):
+        start = random.randrange(len(data)) // 512 * 512
+        data[start : start + 512] = bytes(len(data[start : start + 512]))
+
+
+def swap_sectors(random, data):
+    one, two = (random.randrange(len(data) // 512) * 512 for _ in range(2))
+    data[one : one + 512], data[two : two + 512] = data[two : two + 512], data[one : one + 512]
+
+
+def scribble(random, data):
+    start = random.randrange(len(data))
+    data[start : start + 4096] = random.randbytes(len(data[start : start + 4096]))
+
+
+DAMAGES = {"bits flipped": flip, "cut short": cut, "sectors zeroed": lose_sectors, "sectors swapped": swap_sectors,
+           "pages overwritten": scribble}  # fmt: skip
+
+
+def run(campaign):
+    logging.getLogger("sagnode").setLevel(logging.CRITICAL)  # it says of each what it found
+    original = campaign.fresh("journal")
+    fill(original / "journal.sqlite", READINGS)
+    log_of_last_readings(original)
+    texts = rows_of(original / "journal.sqlite")
+    place = campaign.fresh("journal") / "state"
+    for title, damage in DAMAGES.items():
+        times = campaign.count(COUNT / len(DAMAGES))
+        total = Counter()
+        broken, recovery = [], []
+        for number in range(times):
+            shutil.rmtree(place, ignore_errors=True)
+            shutil.copytree(original, place)
+            target = place / campaign.random.choice(("journal.sqlite", "journal.sqlite", "journal.sqlite-wal"))
+            data = bytearray(target.read_bytes())
+            damage(campaign.random, data)
+            target.write_bytes(data)
+            if number % 10 == 9:  # and the count is damaged with it
+                flip(campaign.random, count := bytearray((place / "sequence").read_bytes()))
+                (place / "sequence").write_bytes(count)
+            began = time.monotonic()
+            found, wrong = reopened(place, texts)
+            recovery.append(time.monotonic() - began)
+            broken += [f"{title}, number {number}: {text}" for text in wrong]
+            total.update(found)
+        yield Line("journal", f"journal or its log: {title}", times, total["whole"], total["found"],
+                   total["whole"] - total["found"], 0, total["false"], recovery=recovery, limit_s=60.0, broken=broken,
+                   remark=f"{total['destroyed']} of {times * len(texts)} destroyed with their bytes")  # fmt: skip
+
+
+def log_of_last_readings(original):
+    """A third of the readings is in the log only, as after a power cut; some are delivered."""
+    path = original / "journal.sqlite"
+    fill(path, READINGS // 2)
+    live = original.with_name("live")
+    shutil.copytree(original, live)
+    journal = Journal(live / "journal.sqlite", "boot-1")
+    fill_into(journal, READINGS // 2)
+    journal.mark_delivered(range(1, READINGS // 3), datetime.now(UTC))
+    for file in live.iterdir():  # as a running process leaves it: nothing folded
+        shutil.copy(file, original)
+    journal.close()
+
+
+def fill_into(journal, count):
+    for start in range(0, count, 30):
+        journal.append([coded_reading(start + i, datetime.now(UTC)) for i in range(30)], owed=True)
+
+
+def rows_of(path):
+    copy = path.parent.with_name("reading")
+    shutil.copytree(path.parent, copy)
+    with sqlite3.connect(copy / "journal.sqlite") as db:
+        return dict(db.execute("SELECT sequence, json FROM readings"))
+
+
+def as_stored(sequence, text):
+    """The text with its checksum behind it, as a number of 4 or 6 bytes."""
+    crc = checksum(sequence, json.loads(text)["conductor"], text)
+    return [text.encode() + crc.to_bytes(size, "big") for size in (4, 6)]
+
+
+def reopened(place, texts):
+    """Open the damaged journal as the daemon does; counts, and sentences on what is wrong."""
+    raw = b"".join(file.read_bytes() for file in sorted(place.glob("journal.sqlite*")) if not file.name.endswith("shm"))
+    whole = {sequence for sequence, text in texts.items() if any(stored in raw for stored in as_stored(sequence, text))}
+    wrong = []
+    journal = Journal(place / "journal.sqlite", "boot-2")
+    highest = max(texts)
+    if journal.next_sequence <= highest:
+        wrong.append(f"next number {journal.next_sequence}, and {highest} was used")
+    if journal.next_sequence > highest + 3 * BLOCK:
+        wrong.append(f"the count leapt to {journal.next_sequence}")
+    journal.pending(0, 10_000)  # what fails its checksum is set aside
+    journal.close()
+    with sqlite3.connect(place / "journal.sqlite") as db:
+        rows = list(db.execute("SELECT sequence, json FROM readings WHERE fate <> 'damaged'"))
+    false = sum(1 for sequence, text in rows if texts.get(sequence) != text or not is_true(json.loads(text)))
+    found = whole & {sequence for sequence, _ in rows}
+    if whole - found:
+        wrong.append(f"{len(whole - found)} readings are whole in the damaged files and were not found")
+    return {"whole": len(whole), "found": len(found), "false": false, "destroyed": len(texts) - len(whole)}, wrong

@@ -1,0 +1,113 @@
+"""The power fails while the daemon writes: the disk keeps what was flushed and a random half of the rest.
+
+Looked at after every cut: the file system mounts, ``quick_check`` is clean, every reading that anybody can have heard
+of is there, unchanged, and no number can be given out twice. Every tenth time the node is started again on what is
+left.
+"""
+
+import contextlib
+import json
+import sqlite3
+import time
+
+from campaign import Skip
+from coded import is_true
+from rig import Rig
+from table import Line
+from volatile_disk import VolatileDisk, available
+from volatile_disk import run as command
+
+from sagnode.daemon.journal import Journal
+
+CUTS = 300
+MEGABYTES = 12
+
+
+def run(campaign):
+    missing = available()
+    if missing:
+        raise Skip(missing)
+    wanted = campaign.count(CUTS)
+    looked = restarts = checked = 0
+    broken, recovery = [], []
+    directory = campaign.fresh("power")
+    with VolatileDisk(directory / "disk", MEGABYTES, campaign.random) as disk:
+        with Rig(directory, state_dir=disk.place / "state") as rig:
+            rig.start()
+            while looked < wanted:
+                time.sleep(campaign.random.uniform(0, 0.2))
+                if looked % 10 != 9:
+                    known, image = known_and_image(rig, disk)
+                    checked += len(known)
+                else:
+                    known, image = known_and_image(rig, disk)
+                    began = time.monotonic()
+                    power_off_and_on(rig, disk, image)
+                    restarts += 1
+                    rig.wait_good(1)
+                    recovery.append(time.monotonic() - began)
+                looked += 1
+                broken += [f"cut {looked}: {text}" for text in examine(directory, image, known)]
+            rig.last_run()
+            books = rig.books()
+    # what was made in the moment of a cut and heard of by nobody is no reading; see known_and_image
+    yield Line.of("power", "power cut (ext4 on a disk that forgets unflushed sectors)", looked, books,
+                  recovery=recovery, limit_s=60.0, allowed_repeats=restarts * 70, broken=broken,
+                  remark=f"quick_check clean after {looked - len(broken)} of {looked}; {restarts} restarts on what was"
+                  f" left, {disk.flushes} flushes")  # fmt: skip
+
+
+def known_and_image(rig, disk):
+    """Numbers that somebody has heard of (broker or another process at the node), then the disk of that moment."""
+    known = set(rig.witness.sent)
+    with (
+        contextlib.suppress(sqlite3.Error),
+        contextlib.closing(sqlite3.connect(f"file:{rig.state}/journal.sqlite?mode=ro", uri=True, timeout=5)) as db,
+    ):
+        known |= {sequence for (sequence,) in db.execute("SELECT sequence FROM readings")}
+    return known, disk.cut()
+
+
+def power_off_and_on(rig, disk, image):
+    rig.kill()
+    disk.replace(image)
+    rig.start()
+
+
+def examine(directory, image, known):
+    """What is wrong with a disk after a cut; nothing, if all is well."""
+    file, place = directory / "cut.img", directory / "cut"
+    place.mkdir(exist_ok=True)
+    file.write_bytes(image)
+    try:
+        command("mount", "-o", "loop", file, place)
+    except OSError as error:
+        return [f"the file system does not mount: {error}"]
+    try:
+        return list(_examine(place / "state" / "journal.sqlite", known))
+    finally:
+        command("umount", place)
+
+
+def _examine(path, known):
+    if not path.exists():
+        if known:
+            yield "there is no journal"
+        return
+    with contextlib.closing(sqlite3.connect(path)) as db:
+        verdict = db.execute("PRAGMA quick_check").fetchone()[0]
+        if verdict != "ok":
+            yield f"quick_check: {verdict}"
+            return
+    journal = Journal(path)
+    if journal.note != "ok":
+        yield f"journal: {journal.note}"
+    if journal.next_sequence <= max(known, default=0):
+        yield f"the next number would be {journal.next_sequence}, and {max(known)} was used"
+    journal.close()
+    with contextlib.closing(sqlite3.connect(path)) as db:
+        rows = dict(db.execute("SELECT sequence, json FROM readings"))
+    if known - rows.keys():
+        yield f"readings that were heard of are gone: {sorted(known - rows.keys())[:5]}"
+    if not all(is_true(json.loads(text)) for text in rows.values()):
+        yield "a reading has changed"
