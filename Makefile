@@ -3,7 +3,7 @@ PYTHON ?= python3
 export PYTHON
 BIN = .venv/bin
 
-.PHONY: help demo test lint format bench deb clean
+.PHONY: help demo test lint format bench faults deb clean
 
 help:
 	@echo "make demo    a simulated day of one span: the real daemon, a broker, a plot (under out/)"
@@ -11,6 +11,7 @@ help:
 	@echo "make lint    linters and types alone"
 	@echo "make format  put the source into its standard form"
 	@echo "make bench   benchmarks: errors, coverage, speed, memory, idle cost"
+	@echo "make faults  thousands of faults, and what became of the readings (half an hour; ONLY=kill,disk for parts)"
 	@echo "make deb     Debian packages for Bookworm and Trixie, arm64 and amd64 (under build/)"
 	@echo "make clean   remove the environment and everything that was generated"
 
@@ -36,6 +37,10 @@ bench:
 	@$(BIN)/python benchmarks/run.py
 	@$(BIN)/python benchmarks/montecarlo.py
 	@$(BIN)/python benchmarks/performance.py
+
+faults:
+	@scripts/setup dev
+	@$(BIN)/python tests/faults/campaign.py --report docs/reliability.md $(if $(ONLY),--only $(ONLY))
 
 deb:
 	@scripts/setup dev

@@ -17,8 +17,7 @@ def estimate(token, conductor, stem):
 
 def is_true(reading):
     """Whether a published reading carries the numbers that were measured, or none and says why."""
-    valid = reading["quality"]["validity"] == "good"
-    if not valid:
+    if reading["quality"]["validity"] == "invalid":
         return all(reading[name] is None for name in FIELDS) and bool(reading["quality"]["reasons"])
     token, conductor = reading["landmarks_used"], reading["conductor"]
     expected = estimate(token, conductor, "sag") + estimate(token, conductor, "clearance")

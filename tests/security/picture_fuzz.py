@@ -153,7 +153,7 @@ def verdict(data):
 def main(count, seed):
     """All of it; the outcome as a table."""
     limit_growth(MEMORY_MB)
-    rng, whole = random.Random(seed), seeds()  # noqa: S311
+    rng, whole = random.Random(seed), seeds()
     for name, data in whole.items():
         assert verdict(data) == "read", name
     for name, data in hostile():

@@ -1,6 +1,6 @@
 """The real daemon with a stand-in for its worker, and with its patience shortened where a fault would cost minutes.
 
-node_under_test.py CONFIG WORDS      WORDS: JSON; worker: the worker's command line with {requests} and {replies};
+stand_in_node.py CONFIG WORDS      WORDS: JSON; worker: the worker's command line with {requests} and {replies};
                                      set: {"module.NAME": value}; clock: file with seconds to add to the time of day;
                                      names: no name server answers until this file is there
 """
