@@ -4,8 +4,8 @@
     scripts/audit.py DATABASE [REQUIREMENTS...]
 
 DATABASE is a checkout of https://github.com/pypa/advisory-database. REQUIREMENTS are requirements files of pip with
-exact versions (default: what units get, deploy/requirements-*.txt). Exit code 1 when a pinned version is affected. Where
-PyPI can be reached, pip-audit asks for the same with today's advisories:
+exact versions (default: what units get, deploy/requirements-*.txt). Exit code 1 when a pinned version is affected.
+Where PyPI can be reached, pip-audit asks for the same with today's advisories:
 
     pip-audit --disable-pip --require-hashes -r deploy/requirements-trixie.txt
 """

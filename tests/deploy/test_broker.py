@@ -2,6 +2,8 @@
 
 import contextlib
 import itertools
+import json
+import re
 import shutil
 import signal
 import socket
@@ -9,7 +11,7 @@ import ssl
 
 import pytest
 from brokers import MOSQUITTO
-from utility import CA, Party, UtilityBroker, enrol, ran, refusal
+from utility import CA, ROOT, Party, UtilityBroker, enrol, ran, refusal
 
 pytestmark = pytest.mark.skipif(
     MOSQUITTO is None or shutil.which("openssl") is None, reason="mosquitto or openssl is not installed"
@@ -161,3 +163,17 @@ def test_every_line_of_the_shipped_files_is_known_to_mosquitto(broker):
     assert not [
         line for line, word in itertools.product(log.splitlines(), ("Error", "Invalid", "Unknown")) if word in line
     ]
+
+
+def test_the_access_list_is_the_published_interface():
+    """Neither more nor less than docs/schema/asyncapi.json says of a unit."""
+    document = json.loads((ROOT / "docs" / "schema" / "asyncapi.json").read_text())
+    wanted = set()
+    for operation in document["operations"].values():
+        address = document["channels"][operation["channel"]["$ref"].rpartition("/")[2]]["address"]
+        topic = address.replace("{utility}/{line}/{span}/{unit}", "%u")
+        wanted.add(
+            (operation["action"].replace("send", "write").replace("receive", "read"), re.sub(r"{\w+}", "+", topic))
+        )
+    lines = (ROOT / "deploy/broker/sagnode.acl").read_text().splitlines()
+    assert {tuple(line.split()[1:]) for line in lines if line.startswith("pattern ")} == wanted

@@ -44,12 +44,26 @@ cert_file = "tls/unit.pem"
 key_file = "tls/unit.pem"
 """
 
+HOSTILE = [
+    b"",
+    b"\xff\xfe",
+    b"[" * 2000,
+    b'{"command": "measure", "shell": "reboot"}',
+    b'{"command": "format"}',
+    b'{"command": "picture", "conductor": "../../tls/unit.pem"}',
+    b'{"command": "measure", "correlation": "' + b"x" * 3000,
+    b'{"command": "resend", "from_sequence": -1}',
+    b'{"command": "resend", "from_sequence": 1e400}',
+    bytes(100_000),
+]
+
 
 @pytest.fixture
 def ca(tmp_path):
     ran(CA, tmp_path / "ca", "init")
     ran(CA, tmp_path / "ca", "broker", "localhost")
     ran(CA, tmp_path / "ca", "consumer", "scada")
+    ran(CA, tmp_path / "ca", "consumer", "operator")
     return tmp_path / "ca"
 
 
@@ -96,9 +110,13 @@ def journalled(site):
         return [sequence for (sequence,) in db.execute("SELECT sequence FROM readings ORDER BY sequence")]
 
 
-def scada(broker, ca):
+def consumer_named(name, broker, ca):
     keys = ca / "keys"
-    return Party(broker.port, ca, keys / "scada.crt", key=keys / "scada.key", topic=f"sagnode/v1/{UNIT}/#")
+    return Party(broker.port, ca, keys / f"{name}.crt", key=keys / f"{name}.key", topic=f"sagnode/v1/{UNIT}/#")
+
+
+def scada(broker, ca):
+    return consumer_named("scada", broker, ca)
 
 
 def sequences(party):
@@ -180,3 +198,31 @@ def test_a_broker_of_another_name_or_authority_gets_nothing(tmp_path, ca, unit):
         )
         assert "Hostname mismatch" in said and "check mqtt.host" in said
         assert "connected from" not in broker.log.read_text()
+
+
+def test_hostile_commands_change_nothing_and_the_unit_goes_on(tmp_path, ca, unit):
+    """An operator's stolen certificate: everything but a sound command is refused, and a flood is not even answered."""
+    enrol(ca, unit.site / "tls", UNIT)
+    topic = f"sagnode/v1/{UNIT}/command"
+    with UtilityBroker(tmp_path, ca) as broker, consumer_named("operator", broker, ca) as operator:
+        operator.publish(topic, b'{"command": "resend", "from_sequence": 1}', retain=True)  # waits for the unit
+        operator.messages.clear()
+        process = unit(broker)
+
+        def replies():
+            return [json.loads(m.payload) for m in operator.messages if m.topic.endswith("/reply")]
+
+        wait_for(lambda: (s := status(unit.site)) and s["broker_connected"])
+        for hostile in HOSTILE:
+            operator.publish(topic, hostile)
+        wait_for(lambda: len(replies()) >= 8)
+        assert not [reply for reply in replies() if reply["ok"]]
+        for _ in range(300):
+            operator.client.publish(topic, b'{"command": "picture", "conductor": "L1"}', qos=0)
+        before = status(unit.site)["health"]["readings_made"]
+        wait_for(lambda: status(unit.site)["health"]["readings_made"] >= before + 6)
+        assert len(replies()) < 60  # 12 a minute, and as many refusals
+        assert process.poll() is None
+        log = (tmp_path / "log").read_text()
+        assert "Traceback" not in log
+        assert "PRIVATE KEY" not in "".join(m.payload.decode(errors="replace") for m in operator.messages)
