@@ -36,9 +36,9 @@ def test_an_uncertainty_that_is_a_quarter_off_does_not(stated: float) -> None:
 def test_drawn_errors_of_the_laboratory_are_as_large_as_the_node_says() -> None:
     design = montecarlo.observe_view("lab", 3)
     assert design is not None
-    rng = np.random.default_rng(5)
-    lines = {line.stem: line for line in montecarlo.compare("lab", [montecarlo.draw(design, rng) for _ in range(60)])}
+    rng = np.random.default_rng(6)
+    lines = {line.stem: line for line in montecarlo.compare("lab", [montecarlo.draw(design, rng) for _ in range(100)])}
     assert lines.keys() >= {"sag", "swing", "clearance"}
-    # 60 draws leave 9 % of standard error
+    # 100 draws leave 7 % of standard error
     assert lines["sag"].stated_u / lines["sag"].drawn_u == pytest.approx(1.0, abs=0.3)
     assert abs(lines["sag"].bias) < 0.5 * lines["sag"].stated_u

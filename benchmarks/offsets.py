@@ -1,0 +1,124 @@
+"""How far the offsets across the wire, which the estimate is made from, lie from the true wire; by group.
+
+    python benchmarks/offsets.py [--groups lab,tower,side100] [--worlds 6] [--seed 1]
+
+The estimate takes each offset for the sum of a white error, which every offset states, and one that neighbours share.
+Here both are measured against the truth: robust deviation, share of gross errors, and what pairs of offsets at some
+distance along the curve have in common.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import tempfile
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from groups import groups_by_name
+from run import DEVELOPMENT_SEED
+from sagnode.estimate.joint import CORRELATED_PX, CORRELATION_LENGTH_PX
+from sagnode.estimate.locate import Matched, locate
+from sagnode.estimate.register import register
+from sagnode.geometry.camera import FloatArray
+from sagnode.pipeline import load_site
+from sagnode.scene.render import render
+from sagnode.scene.truth import pixel_curve
+from worlds import settle
+
+LAGS_PX = (10.0, 30.0, 60.0, 120.0, 240.0)
+GROSS = 5.0
+"""Errors beyond so many of the stated white deviations are gross."""
+
+
+@dataclass(frozen=True)
+class Errors:
+    """Errors (N,) of a conductor's offsets, px, where they are along the curve (N,), and what they state (N,)."""
+
+    error: FloatArray
+    arc: FloatArray
+    sigma: FloatArray
+
+
+def errors_of(found: Matched, truth: FloatArray) -> Errors:
+    """Offsets against the true curve (K, 2) in the picture; those that have none of it beside them are left out."""
+    seen = truth[np.isfinite(truth).all(axis=1)]
+    offsets = found.offsets
+    error = np.full(len(offsets.t), np.nan)
+    for k, (pixel, normal) in enumerate(zip(offsets.measured, offsets.normal, strict=True)):
+        apart = seen - pixel
+        along = np.abs(apart @ np.array([-normal[1], normal[0]]))
+        near = np.flatnonzero((along < 2.0) & (np.hypot(*apart.T) < 40.0))
+        if near.size:
+            error[k] = -float(apart[near[np.argmin(along[near])]] @ normal)
+    kept = np.isfinite(error)
+    return Errors(error[kept], offsets.arc[kept], offsets.sigma[kept])
+
+
+def shared(some: list[Errors]) -> list[float]:
+    """Mean product (px²) of pairs of errors at the distances between LAGS_PX along one curve, gross ones left out."""
+    sums, counts = np.zeros(len(LAGS_PX) - 1), np.zeros(len(LAGS_PX) - 1)
+    for one in some:
+        fine = np.abs(one.error) < GROSS * np.hypot(one.sigma, CORRELATED_PX)
+        error, arc = one.error[fine], one.arc[fine]
+        distance, product = np.abs(arc[:, None] - arc[None]), error[:, None] * error[None]
+        for k, (low, high) in enumerate(pairwise(LAGS_PX)):
+            within = (distance >= low) & (distance < high)
+            sums[k] += product[within].sum()
+            counts[k] += within.sum()
+    return [float(x) for x in sums / np.maximum(counts, 1)]
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description="errors of the offsets across the wire against the truth")
+    parser.add_argument("--groups", default="lab,lab45,tower,field-tower,field-ground,side50,side100")
+    parser.add_argument("--worlds", type=int, default=6)
+    parser.add_argument("--seed", type=int, default=DEVELOPMENT_SEED)
+    options = parser.parse_args()
+    cv2.setNumThreads(1)
+    between = " | ".join(f"{low:g} to {high:g} px" for low, high in pairwise(LAGS_PX))
+    print(f"| group | offsets | stated, white | robust deviation | gross | shared at {between} |")
+    print("|---|---|---|---|---|" + "---|" * (len(LAGS_PX) - 1))
+    for name in options.groups.split(","):
+        some = [e for index in range(options.worlds) for e in _world(name, options.seed, index)]
+        if not some:
+            print(f"| {name} | 0 |")
+            continue
+        error, sigma = np.concatenate([e.error for e in some]), np.concatenate([e.sigma for e in some])
+        gross = float(np.mean(np.abs(error) > GROSS * np.hypot(sigma, CORRELATED_PX)))
+        roots = " | ".join(f"{np.sign(c) * np.sqrt(abs(c)):+.3f}" for c in shared(some))
+        print(
+            f"| {name} | {len(error)} | {np.median(sigma):.3f} | {1.4826 * np.median(np.abs(error)):.3f}"
+            f" | {100 * gross:.1f} % | {roots} |",
+            flush=True,
+        )
+    print(f"\nShared errors as signed roots, px; the estimate takes {CORRELATED_PX:g} px, falling by e in", end="")
+    print(f" {CORRELATION_LENGTH_PX:g} px.")
+    return 0
+
+
+def _world(name: str, seed: int, index: int) -> list[Errors]:
+    group = groups_by_name(name)[0]
+    with tempfile.TemporaryDirectory(prefix="sagnode-offsets-") as folder:
+        setting = settle(group, seed, index, Path(folder))
+        site = load_site(setting.survey)
+    results = []
+    for shot in group.shots(setting):
+        image = render(shot.scene, shot.moment).image
+        registered, reasons = register(site, image)
+        if reasons:
+            continue
+        located = locate(site, image, registered)
+        for conductor in shot.scene.true.conductors:
+            if conductor.id in located:
+                truth = pixel_curve(shot.scene, shot.moment, conductor, 40001)
+                results.append(errors_of(located[conductor.id], truth))
+    return [one for one in results if one.error.size]
+
+
+if __name__ == "__main__":
+    sys.exit(main())
