@@ -3,7 +3,7 @@ PYTHON ?= python3
 export PYTHON
 BIN = .venv/bin
 
-.PHONY: help demo test lint format bench faults deb clean
+.PHONY: help demo test lint format bench faults deb test-platform clean
 
 help:
 	@echo "make demo    a simulated day of one span: the real daemon, a broker, a plot (under out/)"
@@ -12,6 +12,7 @@ help:
 	@echo "make format  put the source into its standard form"
 	@echo "make bench   benchmarks: errors, coverage, speed, memory, idle cost"
 	@echo "make faults  thousands of faults, and what became of the readings (half an hour; ONLY=kill,disk for parts)"
+	@echo "make test-platform   whole machines, an hour: packages, booted systems, cameras, aarch64 (docs/platform.md)"
 	@echo "make deb     Debian packages for Bookworm and Trixie, arm64 and amd64 (under build/)"
 	@echo "make clean   remove the environment and everything that was generated"
 
@@ -41,6 +42,10 @@ bench:
 faults:
 	@scripts/setup dev
 	@$(BIN)/python tests/faults/campaign.py --report docs/reliability.md $(if $(ONLY),--only $(ONLY))
+
+test-platform:
+	@scripts/setup dev
+	@$(BIN)/python tests/platform/lanes.py
 
 deb:
 	@scripts/setup dev

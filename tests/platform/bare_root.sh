@@ -82,34 +82,77 @@ boot() {
 	}
 	rm -rf --one-file-system "$ROOT-systemd/home/sagnode-clone"
 	git clone --quiet "$HERE" "$ROOT-systemd/home/sagnode-clone"
-	IN=$ROOT-systemd in_root 'bash /home/sagnode-clone/deploy/install.sh'
+	IN=$ROOT-systemd in_root 'bash /home/sagnode-clone/deploy/install.sh --uninstall --purge && bash /home/sagnode-clone/deploy/install.sh'
+	make_updates
 	cp "$HERE/tests/platform/booted.sh" "$ROOT-systemd/root/booted.sh"
 	cat >"$ROOT-systemd/etc/systemd/system/look.service" <<-'U'
 		[Service]
 		Type=oneshot
 		ExecStart=/bin/sh -c 'bash /root/booted.sh >/root/booted.log 2>&1; systemctl exit $?'
 	U
-	SYSTEMD_NSPAWN_UNIFIED_HIERARCHY=1 timeout 300 systemd-nspawn --quiet --directory="$ROOT-systemd" --boot --register=no \
+	SYSTEMD_NSPAWN_UNIFIED_HIERARCHY=1 timeout 600 systemd-nspawn --quiet --directory="$ROOT-systemd" --boot --register=no \
 		--keep-unit --private-network --console=pipe systemd.wants=look.service </dev/null >"$WORK/boot.log" 2>&1 || true
 	cat "$ROOT-systemd/root/booted.log"
 	grep -q '^BOOTED FINE' "$ROOT-systemd/root/booted.log"
 }
 
-# The package of this suite and machine, and the same again with a higher version.
-run_deb() {
-	local package packages=$ROOT/packages
-	package=$(find "$HERE/build" -name "sagnode_*+deb*_$ARCH.deb" 2>/dev/null | grep -E "\+deb$([ "$suite" = bookworm ] && echo 12 || echo 13)_" || true)
+# The package of this suite and machine.
+find_package() {
+	local number=13 package
+	[ "$suite" != bookworm ] || number=12
+	package=$(find "$HERE/build" -name "sagnode_*+deb${number}_$ARCH.deb" 2>/dev/null | head -n 1)
 	[ -f "$package" ] || {
-		echo "no package for $suite $ARCH in $HERE/build: make deb"
+		echo "no package for $suite $ARCH in $HERE/build: make deb" >&2
 		return 1
 	}
+	printf '%s\n' "$package"
+}
+
+# changed_package FROM TO VERSION [FILE OF THE PROGRAM, SED WORDS]...: the same with another version and other contents.
+changed_package() {
+	local tree=$2.tree program
+	dpkg-deb -R "$1" "$tree"
+	sed -i "s/^Version: .*/Version: $3/" "$tree/DEBIAN/control"
+	program=$(echo "$tree"/usr/lib/sagnode/venv/lib/python3.*/site-packages/sagnode)
+	sed -i "s/^__version__ = .*/__version__ = \"${3%%+*}\"/" "$program/__init__.py"
+	local to=$2
+	shift 3
+	while [ $# -gt 0 ]; do
+		cp "$program/$1" "$program/$1.before"
+		sed -i -E "$2" "$program/$1"
+		! cmp -s "$program/$1" "$program/$1.before" || {
+			echo "$1 was not changed by: $2" >&2
+			return 1
+		}
+		rm "$program/$1.before"
+		shift 2
+	done
+	dpkg-deb --root-owner-group -Znone -b "$tree" "$to" >/dev/null
+	rm -rf --one-file-system "$tree"
+}
+
+# Releases to update to: one that runs, and three that must not stay.
+make_updates() {
+	local package to=$ROOT-systemd/packages ends='s/^def run\(args.*/&\n    raise SystemExit(1)/'
+	package=$(find_package)
+	rm -rf --one-file-system "$to"
+	mkdir -p "$to"
+	cp "$HERE/deploy/install.sh" "$to/"
+	changed_package "$package" "$to/good.deb" 0.90.1+deb
+	changed_package "$package" "$to/broken.deb" 0.90.2+deb cli/run.py "$ends"
+	changed_package "$package" "$to/faulty.deb" 0.90.3+deb cli/doctor.py "$ends"
+	changed_package "$package" "$to/later.deb" 0.90.4+deb daemon/node.py 's/^( *)notifier\.ready\(.*/\1raise SystemExit(1)/' \
+		daemon/journal_file.py 's/^SCHEMA_VERSION = ([0-9]+)/&  + 1/; $ s/$/\n_MIGRATIONS[SCHEMA_VERSION - 1] = "CREATE TABLE later (x);"/'
+}
+
+# The package, and the same again with a higher version.
+run_deb() {
+	local package packages=$ROOT/packages
+	package=$(find_package)
 	rm -rf --one-file-system "$packages"
 	mkdir -p "$packages"
 	cp "$package" "$packages/sagnode.deb"
-	dpkg-deb -R "$package" "$packages/tree"
-	sed -i 's/^Version: .*/&+newer/' "$packages/tree/DEBIAN/control"
-	dpkg-deb --root-owner-group -Znone -b "$packages/tree" "$packages/newer.deb" >/dev/null
-	rm -rf --one-file-system "$packages/tree"
+	changed_package "$package" "$packages/newer.deb" 99.0
 	cp "$HERE/tests/platform/package.sh" "$packages/"
 	in_root 'bash /packages/package.sh' | tee "$packages/log"
 	grep -q '^PACKAGE FINE' "$packages/log"

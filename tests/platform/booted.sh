@@ -124,6 +124,39 @@ systemctl stop sagnode
 ! pgrep -u sagnode >/dev/null || fail 'processes are left'
 ok "stopped within $((SECONDS - began)) s, nothing is left"
 
+# Updates, without network: a release that runs, then three that must not stay.
+version() { basename "$(readlink /opt/sagnode/current)"; }
+journal_rows() { python3 -c 'import sqlite3; print(sqlite3.connect("file:/var/lib/sagnode/journal.sqlite?mode=ro", uri=True).execute("SELECT count(*) FROM readings").fetchone()[0])'; }
+update() { SETTLE_S=5 bash /packages/install.sh --from "/packages/$1.deb" >/root/update.log 2>&1; }
+systemctl start sagnode
+first=$(version)
+until_true 30 'readings are made' readings_are_kept
+began=$SECONDS
+update good || fail "an update that should succeed: $(cat /root/update.log)"
+[ "$(version)" = 0.90.1 ] && systemctl is-active --quiet sagnode || fail "after the update: $(version)"
+[ "$(sagnode --version)" = 'sagnode 0.90.1' ] || fail "$(sagnode --version)"
+ok "updated from $first to $(version) in $((SECONDS - began)) s, 5 of them to see it stay"
+before=$(main_pid)
+! update faulty || fail 'a release whose doctor finds faults was taken'
+[ "$(version)" = 0.90.1 ] && [ "$(main_pid)" = "$before" ] || fail 'the daemon was disturbed'
+ok 'a release whose doctor finds faults is not switched to, and the daemon not disturbed'
+rows=$(journal_rows)
+began=$SECONDS
+! update broken || fail 'a release that does not start was taken'
+[ "$(version)" = 0.90.1 ] && systemctl is-active --quiet sagnode || fail "after a broken update: $(version)"
+[ ! -e /opt/sagnode/releases/0.90.2 ] || fail 'the broken release is left'
+ok "a release that does not become ready: the old one is back and runs after $((SECONDS - began)) s"
+! update later || fail 'a release that does not start was taken'
+grep -q 'journal is as it was before' /root/update.log || fail "$(cat /root/update.log)"
+[ "$(version)" = 0.90.1 ] && systemctl is-active --quiet sagnode || fail "after a broken update: $(version): $(cat /root/update.log)"
+[ "$(journal_rows)" -ge "$rows" ] || fail "readings were lost: $(journal_rows) of $rows"
+ok "one that had changed the journal's form before: the journal is back too, none of $rows readings lost"
+SETTLE_S=5 bash /packages/install.sh --rollback >/root/update.log 2>&1 || fail "$(cat /root/update.log)"
+[ "$(version)" = "$first" ] && systemctl is-active --quiet sagnode || fail "after the step back: $(version)"
+ok "a step back to $(version)"
+sagnode doctor --skip camera || fail 'doctor finds a fault'
+systemctl stop sagnode
+
 printf 'nonsense = 1\n' >>/etc/sagnode/node.toml
 if systemctl restart sagnode 2>/dev/null; then fail 'a bad configuration was accepted'; fi
 sleep 3

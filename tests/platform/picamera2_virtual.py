@@ -9,6 +9,7 @@ NV12, exposure, gain and focus, and the Raspberry Pi's own image processor.
 from __future__ import annotations
 
 import os
+import shutil
 import sys
 import time
 import types
@@ -17,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 WIDTH, HEIGHT, PICTURES = 640, 480, 5
+SCENE_WIDTH, SCENE_HEIGHT = 1456, 1088
 CONFIGURATION = Path("/usr/share/libcamera/pipeline/virtual/virtual.yaml")
 STALLED = Path("/tmp/virtual-camera-stalled")  # noqa: S108 - a switch inside a throw-away root
 PERIOD_S = 1 / 30
@@ -24,19 +26,42 @@ REPEATS = 4  # the virtual pipeline shows each picture file four times over
 
 
 def write_camera(folder: Path) -> None:
-    """Pictures of distinct brightness, and the camera that plays them."""
+    """Two cameras: one plays pictures of distinct brightness, the other rendered scenes of the demonstration's noon."""
     import cv2
     import numpy as np
 
     folder.mkdir(parents=True, exist_ok=True)
+    scenes = folder.with_name("virtual-scenes")
+    scenes.mkdir(exist_ok=True)
+    for i, file in enumerate(scene_files()):
+        shutil.copy(file, scenes / f"{i}.jpg")
     for i in range(PICTURES):
         noise = np.random.default_rng(i).integers(0, 20, (HEIGHT, WIDTH, 3), np.uint8)
         cv2.imwrite(str(folder / f"{i}.jpg"), noise + np.uint8(40 * i + 20))
     CONFIGURATION.parent.mkdir(parents=True, exist_ok=True)
     CONFIGURATION.write_text(
-        f'%YAML 1.1\n---\n"Virtual0":\n  supported_formats:\n  - width: {WIDTH}\n    height: {HEIGHT}\n'
-        f'  frames:\n    path: "{folder}/"\n  model: "pictures"\n'
+        "%YAML 1.1\n---\n"
+        + "".join(
+            f'"{name}":\n  supported_formats:\n  - width: {width}\n    height: {height}\n'
+            f'  frames:\n    path: "{path}/"\n  model: "{name}"\n'
+            for name, width, height, path in [
+                ("Virtual0", WIDTH, HEIGHT, folder),
+                ("Virtual1", SCENE_WIDTH, SCENE_HEIGHT, scenes),
+            ]
+        )
     )
+
+
+def site_directory() -> Path:
+    """The demonstration's survey, lens and frames."""
+    import sagnode.demo
+
+    return Path(sagnode.demo.__file__).parent / "site"
+
+
+def scene_files() -> list[Path]:
+    """Three rendered frames, in the order in which the camera plays them."""
+    return sorted((site_directory() / "frames").glob("20260621T1[234]0000Z.jpg"))
 
 
 def prepare() -> None:
@@ -110,8 +135,44 @@ def _buffers_without_dma_heap() -> None:
     allocator.fcntl = types.SimpleNamespace(ioctl=lambda *_: 0)
 
 
+def same_readings() -> None:
+    """Rendered scenes through the camera: nearly the same pixels, and the same readings as those of the files."""
+    import numpy as np
+
+    from sagnode.capture.images import read_grey
+    from sagnode.capture.picamera2 import Picamera
+    from sagnode.config.load import load_node
+    from sagnode.config.node import Picamera2Source
+    from sagnode.pipeline import load_site, measure_burst
+    from sagnode.quality import Validity
+
+    loaded = load_node(site_directory())
+    site = load_site(loaded.span, loaded.node.measure)
+    files = [read_grey(file) for file in scene_files()]
+    config = {"camera": 1, "width": SCENE_WIDTH, "height": SCENE_HEIGHT, "timeout_s": 5.0, "warmup_frames": 2}
+    source = Picamera(Picamera2Source.model_validate(config))
+    source.open()
+    print(f"scenes: {source.describe()}")
+    taken = source.burst(6, (REPEATS + 0.5) * PERIOD_S)
+    source.close()
+    by_file: dict[int, np.ndarray] = {}
+    for frame in taken:
+        distances = [float(np.abs(frame.image.astype(int) - file).mean()) for file in files]
+        by_file[int(np.argmin(distances))] = frame.image
+    assert len(by_file) >= 2, "at least two of the scenes are seen"
+    worst, most = 0.0, 0
+    for i, image in by_file.items():
+        most = max(most, int(np.abs(image.astype(int) - files[i]).max()))
+        for live, replay in zip(measure_burst(site, [image]), measure_burst(site, [files[i]]), strict=True):
+            assert live.validity is replay.validity is not Validity.INVALID, (live.reasons, replay.reasons)
+            for stem, estimate in live.estimates.items():
+                worst = max(worst, abs(estimate.value - replay.estimates[stem].value) / replay.estimates[stem].u)
+    print(f"readings of {len(by_file)} scenes equal those of the files within {worst:.4f} u; grey levels within {most}")
+    assert worst <= 0.1
+
+
 def main() -> int:
-    """Frames, their times, a stall, a reopening; prints PICAMERA2 FINE."""
+    """Frames, their times, a stall, a reopening, readings of rendered scenes; prints PICAMERA2 FINE."""
     write_camera(Path("/opt/virtual-frames"))
     STALLED.unlink(missing_ok=True)
     prepare()
@@ -177,6 +238,7 @@ def main() -> int:
         except FrameError as error:
             print(f"refused: {error}")
             assert says in str(error)
+    same_readings()
     print("PICAMERA2 FINE")
     return 0
 

@@ -60,7 +60,8 @@ install_package() {
 		exit 1
 	}
 	in_root "! dpkg-query -W sagnode >/dev/null 2>&1 || apt-get purge -y -qq sagnode
-		dpkg -i /checkout/build/${package##*/}"
+		dpkg -i /checkout/build/${package##*/}
+		systemctl --quiet enable mosquitto"
 	local site=$ROOT/etc/sagnode
 	cp "$HERE"/src/sagnode/demo/site/{span.toml,camera.yaml,reference.jpg} "$site/"
 	mkdir -p "$site/frames"
