@@ -163,10 +163,16 @@ def _own_correlation(payload: bytes) -> str | None:
     return own if isinstance(own, str) and len(own) <= CORRELATION_MAX else None
 
 
+def _printable(text: str) -> str:
+    return "".join(sign if sign.isprintable() else "?" for sign in text)
+
+
 def _faults(error: ValidationError) -> str:
     """At most three faults of a command in words, without its own text, which may be anything."""
     found = []
     for fault in error.errors(include_url=False, include_input=False)[:3]:
-        place = ".".join(str(word)[:40] for word in fault["loc"][1:])
-        found.append(f"{place}: {fault['msg'][:200]}" if place else fault["msg"][:200])
+        # Unknown keys and words are quoted, and they are the sender's own text: no line of its making in the log.
+        place = ".".join(_printable(str(word)[:40]) for word in fault["loc"][1:])
+        message = _printable(fault["msg"][:200])
+        found.append(f"{place}: {message}" if place else message)
     return f"{'; '.join(found)}; the schema of a command: sagnode schema command"
