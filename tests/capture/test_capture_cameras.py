@@ -177,6 +177,28 @@ def test_the_negotiated_format_is_read_and_the_exposure_locked(stand_in: type[St
     source.close()
 
 
+def test_another_crop_than_asked_for_is_refused(stand_in: type[StandIn], monkeypatch: pytest.MonkeyPatch) -> None:
+    crop = (8, 0, 1448, 1088)
+    with pytest.raises(FrameError, match="has no control ScalerCrop"):
+        picamera(crop=crop).open()
+    real = stand_in.__init__
+
+    def with_crop(self: StandIn, number: int) -> None:
+        real(self, number)
+        self.camera_controls["ScalerCrop"] = ((0, 0, 64, 64), (0, 0, 1456, 1088), (0, 0, 1456, 1088))
+        self.controls["ScalerCrop"] = crop
+
+    monkeypatch.setattr(stand_in, "__init__", with_crop)
+    source = picamera(crop=crop)
+    source.open()
+    assert stand_in.last.config["controls"]["ScalerCrop"] == crop
+    assert source.burst(1, 0.0)[0].metadata["ScalerCrop"] == list(crop)
+    source.close()
+    with pytest.raises(FrameError, match="not \\[0, 0, 1456, 1088\\]") as caught:
+        picamera(crop=(0, 0, 1456, 1088)).open()
+    assert "crop = [8, 0, 1448, 1088]" in caught.value.remedy
+
+
 def test_a_stalled_camera_is_cancelled_before_it_is_stopped(stand_in: type[StandIn]) -> None:
     source = picamera(warmup_frames=1)
     source.open()

@@ -51,7 +51,7 @@ class Picamera(FrameSource):
 
         Raises:
             FrameError: Picamera2 is not installed, no such camera, busy, another size or an unknown format, a control
-                that this camera does not have, or no frame in time.
+                or crop that this camera does not have, or no frame in time.
         """
         self.close()
         picamera2 = _import_picamera2()
@@ -61,8 +61,10 @@ class Picamera(FrameSource):
             self._camera = self._call(lambda: picamera2(self._config.camera), timeout_s)
             self._stream = self._call(self._configure, timeout_s)
             self._call(self._camera.start, timeout_s)
+            metadata: dict[str, Any] = {}
             for _ in range(max(1, self._config.warmup_frames)):
-                self._request(time.monotonic() + timeout_s, lambda _request: None)
+                metadata = self._request(time.monotonic() + timeout_s, lambda request: dict(request.get_metadata()))
+            self._check_crop(metadata.get("ScalerCrop"))
         except FrameError:
             self.close()
             raise
@@ -146,8 +148,13 @@ class Picamera(FrameSource):
     def _first_controls(self, available: Mapping[str, object]) -> dict[str, object]:
         """What is fixed from the start; raises where the configuration wants what this camera does not have."""
         config = self._config
-        asked = {"ExposureTime": config.exposure_us, "AnalogueGain": config.gain, "LensPosition": config.lens_position}
-        keys = {"ExposureTime": "exposure_us", "AnalogueGain": "gain", "LensPosition": "lens_position"}
+        keys = {
+            "ExposureTime": "exposure_us",
+            "AnalogueGain": "gain",
+            "LensPosition": "lens_position",
+            "ScalerCrop": "crop",
+        }
+        asked = {control: getattr(config, key) for control, key in keys.items()}
         controls: dict[str, object] = {}
         for control, value in asked.items():
             if value is None:
@@ -161,6 +168,16 @@ class Picamera(FrameSource):
         if config.lens_position is not None and "AfMode" in available:
             controls["AfMode"] = 0  # manual
         return controls
+
+    def _check_crop(self, got: object) -> None:
+        """Refuse a crop that libcamera has moved, as it does without a word: the intrinsics hold for one only."""
+        wanted = self._config.crop
+        if wanted is None or got == wanted:
+            return
+        if not isinstance(got, tuple):
+            raise FrameError(f"{self._name} does not tell its crop", "take camera.picamera2.crop out")
+        what = f"{self._name} shows {list(got)} of the sensor, not {list(wanted)}"
+        raise FrameError(what, f"set camera.picamera2.crop = {list(got)} and calibrate with it, or choose another size")
 
     def _lock(self) -> dict[str, object]:
         """Hold exposure, gain, colour gains and focus where they have settled; returns what sets them free again.

@@ -8,7 +8,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Literal
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, NonNegativeInt, PositiveInt, field_validator, model_validator
 
 from sagnode.config.base import Model, Name
 
@@ -85,6 +85,9 @@ class Picamera2Source(Model):
     gain: float | None = Field(default=None, gt=0)
     lens_position: float | None = Field(default=None, ge=0)
     """Dioptres; 0 is infinity."""
+    crop: tuple[NonNegativeInt, NonNegativeInt, PositiveInt, PositiveInt] | None = None
+    """Part of the sensor's array that the picture shows: left, top, width, height in its own pixels. Unset: what
+    libcamera chooses, which may be another with its next version; the intrinsics hold for one crop only."""
     warmup_frames: int = Field(default=10, ge=0, le=1000)
     timeout_s: float = Field(default=10.0, gt=0)
 
