@@ -41,6 +41,14 @@ def test_a_camera_is_turned_to_where_the_span_is_seen() -> None:
     along = aimed(span, camera)
     assert along.azimuth_deg == pytest.approx(0.0, abs=15.0)
     assert len(planned_site(span, along).landmark_ids) >= 5
+    behind = aimed(span, replace(camera, position=(0.0, -80.0, 6.0)))
+    assert (behind.azimuth_deg, behind.elevation_deg) == (pytest.approx(0.0, abs=3.0), pytest.approx(0.0, abs=3.0))
+
+
+def test_a_wanted_direction_is_kept_where_it_shows_nearly_as_much() -> None:
+    span, camera = simple_span()
+    assert aimed(span, camera, (1.0, 2.0)).azimuth_deg == 1.0
+    assert aimed(span, camera, (90.0, 2.0)).azimuth_deg == pytest.approx(0.0, abs=15.0)
 
 
 def test_places_of_a_grid_count_along_the_span_to_its_right_and_up_from_the_ground() -> None:

@@ -22,7 +22,7 @@ def best_aim(span: Span, position: FloatArray, intrinsics: Intrinsics, wanted: A
     """Azimuth and elevation of a level camera that shows as much as can be of every measured conductor.
 
     The share of a conductor is that of its horizontal length, at its least and its greatest sag; the worst of them
-    counts as much as their mean. Landmarks count less, and being well inside the frame decides between equals. A wanted
+    counts as much as their mean. Landmarks count less, and being in the middle decides between equals. A wanted
     direction is kept unless another shows clearly more.
     """
     wires = _wires(span) - position
@@ -75,6 +75,8 @@ def _worth(angles: Angles, wires: FloatArray, marks: FloatArray, intrinsics: Int
     pixels, _ = project_camera(intrinsics, wires @ pose.rotation.T)
     share = inside(intrinsics, pixels, 4.0).mean(axis=1)
     seen = np.count_nonzero(inside(intrinsics, project_camera(intrinsics, marks @ pose.rotation.T)[0], 20.0))
-    margin = 0.08 * min(intrinsics.width, intrinsics.height)
-    well = inside(intrinsics, pixels, margin).mean()
-    return float(share.min() + share.mean() + 0.4 * seen / max(len(marks), 1) + 0.05 * well)
+    # what is seen lies in the middle rather than at the edge, between directions that show equally much
+    size = np.array([intrinsics.width, intrinsics.height])
+    off = np.abs(pixels - (size - 1) / 2).max(axis=-1, initial=0.0, where=np.isfinite(pixels)) / size.max()
+    centred = float(np.mean((1 - off) * inside(intrinsics, pixels, 4.0)))
+    return float(share.min() + share.mean() + 0.4 * seen / max(len(marks), 1) + 0.1 * centred)
