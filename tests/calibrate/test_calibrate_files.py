@@ -205,3 +205,26 @@ def test_undistorting_puts_every_pixel_where_a_perfect_lens_would() -> None:
     with pytest.raises(FrameError, match="160x120") as caught:
         undistort_image(camera, seen[:-1])
     assert caught.value.cause is Cause.BAD_FRAME
+
+
+_NESTED = "a0: &a0 [1, 1, 1, 1, 1, 1, 1, 1, 1]\n" + "".join(
+    f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 9)}]\n" for i in range(1, 11)
+)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        _NESTED + ros().replace("[1200.5, 0, 730.25, 0, 1201.75, 540.5, 0, 0, 1]", "*a10"),
+        _NESTED + ros().replace("data: [-0.25, 0.08, 5e-4, -3e-4, 0.0]", "data: *a10"),
+        _NESTED + ros().replace("rows: 3\n  cols: 3", "rows: *a10\n  cols: *a10"),
+        _NESTED + ros().replace("image_width: 1456", "image_width: *a10"),
+        _NESTED + ros("*a10"),
+        "within: &within [*within]\n" + ros().replace("[1200.5, 0, 730.25, 0, 1201.75, 540.5, 0, 0, 1]", "*within"),
+        ros() + "deep: " + "[" * 50_000,
+    ],
+)
+def test_a_few_lines_that_stand_for_thousands_of_millions_of_numbers_are_refused(tmp_path: Path, text: str) -> None:
+    with pytest.raises(ConfigError) as refused:
+        load_intrinsics(written(tmp_path / "bomb.yaml", text))
+    assert len(str(refused.value)) < 1000

@@ -44,7 +44,16 @@ def _json(text: str) -> object:
 
 
 class _Loader(yaml.SafeLoader):
-    """Safe YAML that knows OpenCV's matrices."""
+    """Safe YAML that knows OpenCV's matrices, and no aliases.
+
+    With them a few lines stand for thousands of millions of numbers, or a list for itself.
+    """
+
+    def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
+        if self.check_event(yaml.AliasEvent):
+            mark = self.peek_event().start_mark  # type: ignore[no-untyped-call]
+            raise yaml.composer.ComposerError(None, None, "an alias (*name), which no calibration file needs", mark)
+        return super().compose_node(parent, index)
 
 
 def _matrix(loader: _Loader, node: yaml.Node) -> object:
