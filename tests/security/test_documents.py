@@ -1,0 +1,57 @@
+"""What the documents for technicians and auditors say is so: tests that they name, causes, exit codes, files."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+from sagnode.quality import Cause
+
+ROOT = Path(__file__).parents[2]
+SECURITY = (ROOT / "docs" / "security.md").read_text()
+
+
+def test_every_test_that_the_threat_model_names_exists():
+    """``::name`` alone belongs to the file that was named before it."""
+    file, named = "", 0
+    for path, name in re.findall(r"`((?:tests/[\w/]+\.py)?)(?:::(test_\w+))?`", SECURITY):
+        file = path or file
+        if path or name:
+            text = (ROOT / file).read_text()
+            named += 1
+            assert not name or f"def {name}(" in text, f"{file}::{name}"
+    assert named > 30
+
+
+@pytest.mark.parametrize("document", ["security.md", "operations.md"])
+def test_every_link_leads_somewhere(document):
+    text = (ROOT / "docs" / document).read_text()
+    for target in re.findall(r"\]\(([^)#:]+)\)", text):
+        assert (ROOT / "docs" / target).exists(), target
+
+
+OPERATIONS = (ROOT / "docs" / "operations.md").read_text()
+
+
+def test_every_cause_of_a_reading_is_explained_to_technicians():
+    explained = re.findall(r"^\| `([a-z-]+)` \| .+ \| .+ \|$", OPERATIONS, re.MULTILINE)
+    assert sorted(set(explained) & {str(cause) for cause in Cause}) == sorted(str(cause) for cause in Cause)
+
+
+def test_every_exit_code_is_explained():
+    from sagnode.cli import main
+    from sagnode.daemon import node
+
+    known = {value for module in (main, node) for name, value in vars(module).items() if name.startswith("EXIT_")}
+    explained = {int(code) for code in re.findall(r"^\| (\d+) \| ", OPERATIONS, re.MULTILINE)}
+    assert known == explained
+
+
+def test_the_count_goes_on_above_a_number_written_by_hand(tmp_path):
+    """As "Replacing a card" has it: a new state directory with nothing but that file."""
+    from sagnode.daemon.journal import Journal
+
+    (tmp_path / "sequence").write_text("60000\n")
+    journal = Journal(tmp_path / "journal.sqlite")
+    assert journal.next_sequence == 60001
+    journal.close()
