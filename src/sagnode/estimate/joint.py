@@ -19,8 +19,10 @@ from sagnode.geometry.camera import FloatArray, project, projection_derivatives
 from sagnode.geometry.conductor import conductor_points, gravity_direction, load_shapes
 from sagnode.survey import CAMERA, LOAD, SAG, SIZE, SWING, Survey
 
-CORRELATED_PX = 0.10
-"""Standard deviation of what neighbouring offsets share: background gradients, residuals of the lens model."""
+CORRELATED_PX = 0.04
+"""Least standard deviation of what neighbouring offsets share: residuals of the lens model, the wire's own shading."""
+CORRELATED_SHARE = 0.7
+"""The same, relative to an offset's own: what makes a block uncertain, texture behind it, reaches over to the next."""
 CORRELATION_LENGTH_PX = 60.0
 CAUCHY_LANDMARK, CAUCHY_CURVE = 3.5, 2.5
 """Standardised residuals at which an observation counts half."""
@@ -224,10 +226,11 @@ def curve_terms(survey: Survey, theta: FloatArray, curve: CurveObservations) -> 
     return residual, jacobian
 
 
-def correlated_error(arc: FloatArray) -> FloatArray:
-    """Covariance (M, M) of what offsets at positions ``arc`` (M,) along a curve share, px²."""
+def correlated_error(arc: FloatArray, sigma: FloatArray) -> FloatArray:
+    """Covariance (M, M) of what offsets at ``arc`` (M,) along a curve share, px²; ``sigma`` (M,) is their own."""
     distance = np.abs(arc[:, None] - arc[None, :])
-    return np.asarray(CORRELATED_PX**2 * np.exp(-distance / CORRELATION_LENGTH_PX))
+    shared = np.hypot(CORRELATED_PX, CORRELATED_SHARE * sigma)
+    return np.asarray(shared[:, None] * shared * np.exp(-distance / CORRELATION_LENGTH_PX))
 
 
 def _robust(z2: FloatArray, limit: float) -> FloatArray:
@@ -256,16 +259,15 @@ def solve(
     known[CAMERA, CAMERA] += camera.precision
     target = mean0 / sigma0**2
     target[CAMERA] += camera.vector
-    white, correlated = curve.sigma**2, correlated_error(curve.arc)
+    white, correlated = curve.sigma**2, correlated_error(curve.arc, curve.sigma)
     theta, converged, inflation = start.copy(), False, 1.0
     residual, jacobian = curve_terms(survey, theta, curve)
     for step_number in range(iterations):
         spread = max(1.4826 * float(np.median(np.abs(residual))), 1e-3)
-        weight = _robust(
-            residual**2 / (white + CORRELATED_PX**2 + (0.0 if step_number > 1 else spread**2)), CAUCHY_CURVE
-        )
+        expected = white + np.diag(correlated)
+        weight = _robust(residual**2 / (expected + (0.0 if step_number > 1 else spread**2)), CAUCHY_CURVE)
         noise = white / np.maximum(weight, 1e-6)
-        inflation = _inflation(residual, noise + CORRELATED_PX**2, weight)
+        inflation = _inflation(residual, noise + np.diag(correlated), weight)
         gain = np.linalg.solve(np.diag(noise) + correlated, np.column_stack([jacobian[:, free], residual]))
         gain = gain.T @ jacobian[:, free] / inflation
         normal = known[np.ix_(free, free)] + gain[:-1]
@@ -302,13 +304,12 @@ def solve(
 def unevenness(solution: Solution, survey: Survey, load_u: float) -> float:
     """How much an even solution's residuals ask for an uneven load: what its terms would take off the misfit.
 
-    One Gauss-Newton step in the terms, all other unknowns following, without solving anew. The correlated error is
-    taken at half its usual size: what makes an interval wide enough would hide half of the uneven loads.
+    One Gauss-Newton step in the terms, all other unknowns following, without solving anew.
     """
     free = survey.unknowns()
     white, correlated = solution.noise
     own, others = solution.jacobian[:, LOAD], solution.jacobian[:, free]
-    solved = np.linalg.solve(np.diag(white) + correlated / 4, np.column_stack([own, others, solution.residual]))
+    solved = np.linalg.solve(np.diag(white) + correlated, np.column_stack([own, others, solution.residual]))
     of_own, of_others = solved[:, : own.shape[1]], solved[:, own.shape[1] : -1]
     known = np.diag(1 / survey.prior_sigma()[free] ** 2)
     known[CAMERA, CAMERA] += solution.camera.precision

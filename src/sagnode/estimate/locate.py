@@ -58,15 +58,17 @@ SUSPECT_SHARE = 0.35
 """Where less of an even curve, or of the span, shows a wire, the wire may hang unevenly, and that is tried."""
 EVEN_ODDS = 2.0
 """Logarithm of the odds of an uneven over an even load above which the load is not taken for even."""
-SUSPECT_ODDS = -3.0
+SUSPECT_ODDS = -5.0
+APART_ODDS = -6.0
 """The same where there is a reason to doubt that the load is even: UNEVENNESS, or a swing apart from the others'.
 
 Seen along the line, a swung even span and an unswung uneven one can look alike over the part that is clear. What the
 picture does not decide, the wider uncertainty of the uneven load must carry.
 """
-UNEVENNESS = 4.5
-"""Misfit that an uneven load would take off; evenly loaded wires rarely give half of this."""
-SWING_APART = (np.radians(1.5), 0.15, 4.0)
+UNEVENNESS, DOUBTFUL = 4.5, 6.0
+"""Misfit that an uneven load would take off, from which it is tried, and from which an even one is not believed: evenly
+loaded wires rarely exceed 3."""
+SWING_APART = (np.radians(1.0), 0.15, 3.0)
 """Swings differ more than wind explains: this angle, this share of their mean and this many of their uncertainties."""
 FOLLOWING = 4
 """Rounds of the first refinement in which an uneven curve grows along the wire."""
@@ -101,7 +103,7 @@ class Matched:
     rival: float = 0.0
     """Response of the best different curve over this one's where the two part; 0 if there is none."""
     doubtful_load: bool = False
-    """The wire seems to hang unevenly, and no uneven load was found that follows it."""
+    """The wire hangs unevenly by its misfit, and no uneven load was found that explains it better."""
 
     @property
     def sag(self) -> tuple[float, float]:
@@ -124,7 +126,7 @@ def locate(site: Site, image: GreyImage, registered: Registered) -> dict[str, Ma
     for conductor in site.conductors:
         match = alone[conductor.id]
         if match is not None and conductor.measured and _hangs_apart(match, [m for m in alone.values() if m]):
-            alone[conductor.id] = _even_or_not(image, conductor, registered, match, SUSPECT_ODDS)
+            alone[conductor.id] = _even_or_not(image, conductor, registered, match, APART_ODDS)
     curves = {name: m.track.pixels for name, m in alone.items() if m is not None}
     found: dict[str, Matched] = {}
     for conductor in site.conductors:
@@ -160,7 +162,9 @@ def _find(image: GreyImage, conductor: SiteConductor, registered: Registered) ->
         return even
     if even is not None:
         even = _looked_at(image, even)
-        if unevenness(even.solution, survey, LOAD_U) > UNEVENNESS:
+        strain = unevenness(even.solution, survey, LOAD_U)
+        if strain > UNEVENNESS:
+            even = replace(even, doubtful_load=strain > DOUBTFUL)
             return _even_or_not(image, conductor, registered, even, SUSPECT_ODDS)
         if support(even) > SUSPECT_SUPPORT and visible_share(even) > SUSPECT_SHARE:
             return even
@@ -203,10 +207,8 @@ def _even_or_not(
         start = registered.theta.copy()
         start[SAG], start[SWING], start[LOAD.start] = best.sag, best.swing, tilt
     found = _refine(image, conductor, survey, registered, start, [], FOLLOWING * STAGES[:1] + STAGES[1:])
-    if even is None:
-        return found
-    if found is None:
-        return replace(even, doubtful_load=least_odds == SUSPECT_ODDS)
+    if found is None or even is None:
+        return found or even
     # both explanations of the same offsets; an even load that sees little of the wire must not choose what to explain
     simple = solve(plain, even.solution.theta, registered.camera, found.offsets, STAGES[-1].iterations)
     odds = log_odds(found.solution, survey, simple, plain)
