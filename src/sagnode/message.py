@@ -12,7 +12,7 @@ from typing import Any, Literal, NamedTuple
 
 from pydantic import AwareDatetime, BaseModel, ConfigDict, Field, create_model
 
-from sagnode.quality import Cause, DetailQual, Reason, Validity
+from sagnode.quality import Cause, DetailQual, LensLook, Reason, Validity
 
 
 class Quantity(NamedTuple):
@@ -192,6 +192,14 @@ class StatusMessage(Strict):
     text: str = ""
 
 
+class LensMessage(Strict):
+    """What is between the camera and the scene, told by comparison with the reference picture."""
+
+    look: LensLook
+    share: float = Field(ge=0, le=1, description="of the view's detail that is affected, of the picture for dirt")
+    text: str
+
+
 class HealthMessage(Strict):
     """Retained on ``health``: the node itself."""
 
@@ -217,4 +225,5 @@ class HealthMessage(Strict):
     journal: str
     configuration: str = "ok"
     recovery: str = Field(default="ok", description="what was started anew because no reading came, or ok")
+    lens: LensMessage | None = Field(default=None, description="as the newest frame shows it; null without a reading")
     trend: str = Field(default="ok", description="ok, or which conductors' readings contradict those before them")

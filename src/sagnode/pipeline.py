@@ -11,6 +11,7 @@ from collections.abc import Sequence
 
 from sagnode.capture.port import GreyImage
 from sagnode.estimate.combine import combine_burst
+from sagnode.estimate.explain import explain
 from sagnode.estimate.judge import judge, look
 from sagnode.estimate.locate import locate
 from sagnode.estimate.register import register
@@ -29,6 +30,11 @@ def measure_burst(site: Site, images: Sequence[GreyImage]) -> list[ConductorMeas
 
 def measure_frame(site: Site, image: GreyImage) -> list[FrameMeasurement]:
     """Measure every conductor of the span in one frame."""
+    # explain: where something is refused, is it the lens, fog or night?
+    return explain(site, image, _measured(site, image))
+
+
+def _measured(site: Site, image: GreyImage) -> list[FrameMeasurement]:
     # look: can anything be seen at all?
     reasons = look(site, image)
     if reasons:

@@ -29,6 +29,17 @@ class DetailQual(StrEnum):
     INACCURATE = "inaccurate"
 
 
+class LensLook(StrEnum):
+    """What the lens looks like from behind it."""
+
+    CLEAR = "clear"
+    DARK = "dark"
+    FOGGED = "fogged"
+    WET = "wet"
+    DIRTY = "dirty"
+    UNKNOWN = "unknown"
+
+
 class Cause(StrEnum):
     """What exactly was wrong; each cause belongs to one :class:`DetailQual`."""
 
@@ -38,6 +49,9 @@ class Cause(StrEnum):
     DARK = "dark"
     OVEREXPOSED = "overexposed"
     LOW_CONTRAST = "low-contrast"
+    FOG = "fog"
+    LENS_WET = "lens-wet"
+    LENS_DIRTY = "lens-dirty"
     # the conductor in it
     NO_CONDUCTOR = "no-conductor"
     TOO_LITTLE_VISIBLE = "too-little-visible"
@@ -67,6 +81,9 @@ DETAIL_QUAL: dict[Cause, DetailQual] = {
     Cause.DARK: DetailQual.FAILURE,
     Cause.OVEREXPOSED: DetailQual.FAILURE,
     Cause.LOW_CONTRAST: DetailQual.FAILURE,
+    Cause.FOG: DetailQual.FAILURE,
+    Cause.LENS_WET: DetailQual.FAILURE,
+    Cause.LENS_DIRTY: DetailQual.FAILURE,
     Cause.NO_CONDUCTOR: DetailQual.FAILURE,
     Cause.TOO_LITTLE_VISIBLE: DetailQual.FAILURE,
     Cause.AMBIGUOUS: DetailQual.INCONSISTENT,

@@ -19,6 +19,7 @@ from sagnode.geometry.camera import FloatArray, Intrinsics, Pose, rotation_from_
 from sagnode.geometry.ground import GroundProfile
 from sagnode.geometry.quantities import Stringing
 from sagnode.match.landmarks import Patch, cut_patch
+from sagnode.match.lens import Cells, cells
 from sagnode.survey import Survey
 
 
@@ -52,6 +53,8 @@ class Site:
     landmark_click_u: FloatArray
     patches: tuple[Patch | None, ...] | None
     """Landmarks in the reference picture; None where the survey has no reference picture."""
+    reference_cells: Cells | None
+    """Detail of the reference picture, against which the lens is looked at."""
     max_movement_px: float
     swing_questionable: float
     """rad"""
@@ -78,7 +81,7 @@ def load_site(span: Span, measure: Measure | None = None, lens: Intrinsics | Non
     pose = Pose(
         rotation_from_angles(camera.azimuth_deg, camera.elevation_deg, camera.roll_deg), np.array(camera.position)
     )
-    patches = None
+    patches = reference_cells = None
     if camera.reference_image is not None:
         try:
             reference = read_grey(camera.reference_image)
@@ -90,6 +93,7 @@ def load_site(span: Span, measure: Measure | None = None, lens: Intrinsics | Non
                 f" but {camera.intrinsics} is for {intrinsics.width}x{intrinsics.height}",
                 "take the reference picture with the calibrated camera and mode",
             )
+        reference_cells = cells(reference)
         patches = tuple(cut_patch(reference, mark.pixel, mark.size_px) for mark in span.landmarks)
     return Site(
         conductors=tuple(_conductor(c, span, intrinsics, pose) for c in span.conductors),
@@ -102,6 +106,7 @@ def load_site(span: Span, measure: Measure | None = None, lens: Intrinsics | Non
         landmark_clicks=np.array([mark.pixel for mark in span.landmarks], dtype=float).reshape(-1, 2),
         landmark_click_u=np.array([mark.pixel_u_px for mark in span.landmarks], dtype=float),
         patches=patches,
+        reference_cells=reference_cells,
         max_movement_px=camera.max_movement_px,
         swing_questionable=float(np.radians(span.swing.questionable_deg)),
         limits=span.limits,

@@ -305,6 +305,7 @@ def _readings(page: dict[str, Any]) -> Iterator[str]:
 def _health(page: dict[str, Any]) -> Iterator[tuple[str, str]]:
     health = page["health"]
     yield "camera", health.get("camera", "")
+    yield "lens", (health.get("lens") or {}).get("text", "")
     yield "broker", health.get("broker", "")
     ends = health.get("certificate_ends_at")
     yield "certificate", f"ends {_moment(ends)}" if ends else ""

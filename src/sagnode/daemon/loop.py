@@ -253,6 +253,7 @@ class Loop:
         parts = self._parts
         if outcome.reply is not None:
             self._next_frame_at = outcome.reply.next_frame_at
+            parts.showcase.lens = outcome.reply.lens
             return parts.stamp.reply(
                 outcome.reply, clock_synced=trust.synced, calibration_id=parts.worker.calibration_id
             )

@@ -23,7 +23,7 @@ from sagnode.daemon.notify import Notifier
 from sagnode.daemon.recorder import Recorder
 from sagnode.errors import JournalError
 from sagnode.exchange import AlarmMessage
-from sagnode.message import HealthMessage, Identity, ReadingHeader
+from sagnode.message import HealthMessage, Identity, LensMessage, ReadingHeader
 from sagnode.quality import Validity
 from sagnode.worker.supervisor import Supervisor
 
@@ -84,6 +84,8 @@ class Showcase:
         """What health says of the configuration, such as a reload that was refused."""
         self.alarms: Sequence[AlarmMessage] = ()
         """Alarms in force."""
+        self.lens: LensMessage | None = None
+        """As the newest frame shows it."""
         self.trend_note = "ok"
         """What health says of readings that contradict those before them."""
 
@@ -184,6 +186,7 @@ class Showcase:
             journal=self._recorder.state,
             configuration=self.configuration_note,
             recovery=self._ladder.state if self._ladder else "ok",
+            lens=self.lens,
             trend=self.trend_note,
         )
 

@@ -19,7 +19,7 @@ from typing import IO, TYPE_CHECKING
 from pydantic import ValidationError
 
 from sagnode.errors import EndOfFrames, FrameError, SagnodeError
-from sagnode.message import ReasonMessage
+from sagnode.message import LensMessage, ReasonMessage
 from sagnode.quality import Cause, Reason
 from sagnode.worker import confine
 from sagnode.worker.protocol import ConductorResult, Fault, Hello, MeasureReply, MeasureRequest, WorkerLine
@@ -148,12 +148,14 @@ def _send(replies: IO[bytes], line: WorkerLine) -> None:
 
 def _measure(request: MeasureRequest, loaded: LoadedNode, site: Site, source: FrameSource) -> MeasureReply:
     """One burst, measured."""
+    from sagnode.estimate.explain import lens_of
     from sagnode.pipeline import measure_burst
 
     camera = loaded.node.camera
     frames = source.burst(camera.burst, camera.burst_interval_s)
     started = time.monotonic()
     measurements = measure_burst(site, [frame.image for frame in frames])
+    lens = lens_of(site, frames[0].image)
     elapsed = time.monotonic() - started
     overlays = _draw(Path(request.overlay_dir), frames[-1], measurements) if request.overlay_dir else {}
     return MeasureReply(
@@ -163,6 +165,7 @@ def _measure(request: MeasureRequest, loaded: LoadedNode, site: Site, source: Fr
         camera=source.describe(),
         results=tuple(conductor_result(measurement) for measurement in measurements),
         overlays=overlays,
+        lens=LensMessage(look=lens.look, share=lens.share, text=lens.text),
         elapsed_s=elapsed,
         memory_mb=confine.resident_mb(),
         next_frame_at=source.first_frame_at(),

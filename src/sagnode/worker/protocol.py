@@ -10,7 +10,7 @@ from typing import Literal
 
 from pydantic import AwareDatetime, Field
 
-from sagnode.message import Estimate, ReasonMessage, Strict
+from sagnode.message import Estimate, LensMessage, ReasonMessage, Strict
 from sagnode.quality import Validity
 
 
@@ -60,6 +60,7 @@ class MeasureReply(Strict):
     camera: str
     results: tuple[ConductorResult, ...]
     overlays: dict[str, str] = Field(default={}, description="conductor to path of its overlay")
+    lens: LensMessage | None = None
     elapsed_s: float
     memory_mb: float
     next_frame_at: AwareDatetime | None = None
