@@ -23,6 +23,8 @@ PAPER_METHODS: dict[str, Method] = {
 OWN = "sagnode"
 ON_THE_LINE = replace(PRINTED, fictive_line=True)
 """Figure 7: the Bézier curve too is cut by the mid-span line."""
+EVERYWHERE = HELPED
+"""The same in the whole frame: the field's conductor does not lie in the top quadrants alone."""
 
 
 @dataclass(frozen=True)
