@@ -41,7 +41,12 @@ class Result:
 
 
 def measure(
-    trials: Iterable[Trial], settings: Settings = ON_THE_LINE, *, help_them: bool = False, undistort: bool = True
+    trials: Iterable[Trial],
+    settings: Settings = ON_THE_LINE,
+    *,
+    help_them: bool = False,
+    undistort: bool = True,
+    methods: Iterable[str] = tuple(PAPER_METHODS),
 ) -> list[Result]:
     """Every method on every trial.
 
@@ -50,10 +55,11 @@ def measure(
         settings: of the paper's methods.
         help_them: give the paper's methods the camera as sagnode's landmarks show it, and the whole frame.
         undistort: whether the lens' distortion is undone.
+        methods: of the paper's, which; sagnode's is always among them.
     """
     results = []
     for trial in trials:
-        for name, method in PAPER_METHODS.items():
+        for name, method in ((name, PAPER_METHODS[name]) for name in methods):
             site = load_site(trial.span, Measure(method=method, undistort=undistort))
             site = replace(site, conductors=tuple(c for c in site.conductors if c.id == trial.conductor))
             if help_them:

@@ -185,8 +185,9 @@ def _table_5(m: Measured) -> str:
     lines += [
         "",
         flow(f"""Pictures of one scene tell the repeatability, {noise.sd:.3f} cm, and nothing about the accuracy: the
-            search picks the same template every time, and their common error, {noise.bias:+.2f} cm, does not scatter. With another survey each, the errors scatter by
-            {worlds.sd:.2f} cm. The printed interval is one of the mean over repeats, not one that holds the truth."""),
+            search picks the same template every time, and their common error, {noise.bias:+.2f} cm, does not scatter.
+            With another survey each, the errors scatter by {worlds.sd:.2f} cm. The printed interval is one of the mean
+            over repeats, not one that holds the truth."""),
         "",
     ]
     return "\n".join(lines)
@@ -207,10 +208,11 @@ def _tables_6_and_7(m: Measured) -> str:
         lines.append(f"| {stage} | {a:g} / {b:g} | {ratio} | {cosh[stage]:.3f} / {bezier[stage]:.3f} | {own} |")
     lines.append(f"| drawing | not printed | | {cosh['drawing']:.3f} / {bezier['drawing']:.3f} | |")
     speedup = cosh["search"] / bezier["search"]
+    verdict = "Holds" if speedup >= printed.FASTER else "Does not hold"
     lines += [
         f"| search of 300 | 160 s / 100 s | 1.60 | {cosh['search']:.2f} s / {bezier['search']:.2f} s | {speedup:.2f} |",
         "",
-        flow(f"""{"Holds" if speedup >= printed.FASTER else "Does not hold"}: "Bézier templates are 1.5 to 2 times faster". Curve
+        flow(f"""{verdict}: "Bézier templates are 1.5 to 2 times faster". Curve
             points and perspective are dearer for the hyperbolic cosine, but matching is
             {100 * bezier["matching"] / (bezier["matching"] + bezier["curve points"] + bezier["drawing"]):.0f} % of the
             time, and it costs the same whatever curve is drawn: OpenCV correlates by Fourier transforms, which know no
@@ -239,8 +241,8 @@ def _table_8(m: Measured) -> str:
     gap_px = gap * printed.CLEARANCE_CM / 100 / m.pixel_cm
     lines += [
         "",
-        flow(f"""The printed difference, {gap:.2f} % on average, is {gap_px:.1f} px with the camera that is described; the
-            coefficients printed for its lens do not move a point near its axis so far. Ours, by lens and view:"""),
+        flow(f"""The printed difference, {gap:.2f} % on average, is {gap_px:.1f} px with the camera that is described;
+            the coefficients printed for its lens do not move a point near its axis so far. Ours, by lens and view:"""),
         "",
     ]
     for lens in lenses:

@@ -16,6 +16,10 @@ import numpy as np
 from sagnode.geometry.camera import FloatArray
 
 
+SETTLED_PX = 1e-3
+"""A step of P1 this short moves no template pixel."""
+
+
 def bezier_points(control: FloatArray, t: FloatArray) -> FloatArray:
     """Points (N, 2) of the quadratic Bézier curve with control points (3, 2) at parameters (N,): equation 4."""
     s = t[:, None]
@@ -75,5 +79,8 @@ def fitted_handle(curve: FloatArray, rounds: int = 12) -> FloatArray:
         design = (2 * here * (1 - here))[:, None] * normal
         # a little damping: along a straight curve P1 may slide freely
         step = np.linalg.solve(design.T @ design + 1e-6 * np.eye(2), design.T @ gap)
-        middle = middle + step * min(1.0, reach / max(float(np.hypot(*step)), 1e-12))
+        length = float(np.hypot(*step))
+        middle = middle + step * min(1.0, reach / max(length, 1e-12))
+        if length < SETTLED_PX:
+            break
     return np.asarray(middle)
