@@ -15,7 +15,6 @@ import numpy as np
 
 from sagnode.geometry.camera import FloatArray
 
-
 SETTLED_PX = 1e-3
 """A step of P1 this short moves no template pixel."""
 
