@@ -22,6 +22,8 @@ log = logging.getLogger(__name__)
 
 PICTURE_MAX_BYTES = 4_000_000
 """A larger overlay is not sent; links to towers are thin."""
+RESEND_MAX = 10_000
+"""Readings that one command has sent again; marking more would keep a slow card busy for longer than the loop waits."""
 
 
 @dataclass(frozen=True)
@@ -145,6 +147,10 @@ class Dialogue:
         if command.from_sequence > last:
             text = f"nothing from {command.from_sequence} to {last}; the newest reading is {newest}"
             self._inbox.answer(asked, error=text)
+            return
+        if last - command.from_sequence >= RESEND_MAX:
+            wanted = last - command.from_sequence + 1
+            self._inbox.answer(asked, error=f"{wanted} readings; {RESEND_MAX} at most at a time, ask in parts")
             return
         try:
             count = self._journal.owe_again(command.from_sequence, last)
