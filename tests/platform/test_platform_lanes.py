@@ -1,4 +1,4 @@
-"""The lanes of make test-platform: their scripts are there, what is missing is told, the document is made of results."""
+"""The lanes of make test-platform: their scripts are there, what is missing is told, the document is of results."""
 
 from __future__ import annotations
 
