@@ -3,7 +3,9 @@
     python benchmarks/performance.py [--thorough] [--only speed memory idle profile] [--out docs]
 
 Without --thorough it takes a few minutes. What was measured lies in ``out/performance/*.json``, one file a part, so
-that one part can be measured again; the report says when and of which version each part was measured.
+that one part can be measured again; the report says when and of which version each part was measured. Run as root it
+mounts a file system in a file for a while, to count what really reaches a disk; otherwise it goes by the kernel's
+account of the process alone.
 """
 
 from __future__ import annotations
