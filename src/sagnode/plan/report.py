@@ -9,11 +9,12 @@ from sagnode.message import Estimate
 from sagnode.plan.camera import PlannedCamera
 from sagnode.plan.foresee import Foreseen
 from sagnode.plan.frame import Look
-from sagnode.plan.neighbours import MERGED_PX
+from sagnode.plan.neighbours import MERGED_PX, Neighbour
 from sagnode.plan.study import Row, Study
 from sagnode.quality import Validity
 
-_VERDICTS = {Validity.GOOD: "good", Validity.QUESTIONABLE: "doubtful", Validity.INVALID: "refused"}
+VERDICTS = {Validity.GOOD: "good", Validity.QUESTIONABLE: "doubtful", Validity.INVALID: "refused"}
+"""What a reading would be, in words."""
 _SMALL_GAIN = 0.01
 _STEMS = ("sag", "clearance")
 
@@ -136,7 +137,7 @@ def foreseen_document(one: Foreseen) -> dict[str, Any]:
     """One conductor at one sag, ready for JSON."""
     document: dict[str, Any] = {
         "conductor": one.conductor,
-        "expected": _VERDICTS[one.validity],
+        "expected": VERDICTS[one.validity],
         "reasons": [{"cause": str(r.cause), "text": r.text} for r in one.reasons],
         "sag_m": one.sag_m,
         "clearance_m": one.clearance_m,
@@ -194,15 +195,17 @@ def _remarks(study: Study) -> list[str]:
         for one in foreseen:
             place = f"{one.conductor} ({level})"
             lines += [f"  {place}: {reason.cause}: {reason.text}" for reason in one.reasons]
-            for other in one.neighbours:
-                if other.crosses or other.merged_share > 0:
-                    how = "crosses" if other.crosses else "touches" if other.merged_share > 0 else "nears"
-                    lines.append(
-                        f"  {place}: {other.conductor} {how} it in the picture at {100 * other.at_share:.0f} % of the"
-                        f" span; nearer than {MERGED_PX:g} px, where they are one line, over"
-                        f" {100 * other.merged_share:.0f} % of what is in view"
-                    )
+            lines += [f"  {place}: {_beside(other)}" for other in one.neighbours if other.crosses or other.merged_share]
     return [*lines, ""] if lines else []
+
+
+def _beside(other: Neighbour) -> str:
+    how = "crosses" if other.crosses else "touches"
+    text = f"{other.conductor} {how} it in the picture at {100 * other.at_share:.0f} % of the span"
+    if other.merged_share < 0.005:
+        return text
+    lost = f"{100 * other.merged_share:.0f} % of what is in view"
+    return f"{text}; nearer than {MERGED_PX:g} px, where both are one line, over {lost}"
 
 
 def _most_from(one: Foreseen) -> list[str]:
@@ -241,7 +244,7 @@ def _change(share: float) -> str:
 
 def _verdict(one: Foreseen) -> str:
     causes = ", ".join(str(reason.cause) for reason in one.reasons)
-    return f"{_VERDICTS[one.validity]} ({causes})" if causes else _VERDICTS[one.validity]
+    return f"{VERDICTS[one.validity]} ({causes})" if causes else VERDICTS[one.validity]
 
 
 def _mm(estimate: Estimate | None) -> str:
