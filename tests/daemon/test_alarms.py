@@ -1,12 +1,15 @@
 """Alarms: raised by what the interval says, debounced, with hysteresis, latched, and alive across restarts."""
 
 import json
+import tempfile
 from datetime import timedelta
 from importlib.resources import files
 from itertools import count
 from pathlib import Path
 
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from readings import START, reading
 
 from sagnode.config.load import load_span
@@ -240,6 +243,19 @@ def test_the_file_is_not_written_for_every_reading(tmp_path, bench):
     written = (tmp_path / ALARMS_FILE).read_text()
     bench.read(clearance=5.4)
     assert (tmp_path / ALARMS_FILE).read_text() == written
+
+
+@settings(max_examples=40)
+@given(st.floats(-1e308, 1e308), st.floats(0, 1e308))
+def test_no_number_of_a_mad_worker_ends_it(value, u):
+    with tempfile.TemporaryDirectory() as directory:
+        bench = Bench(Path(directory))
+        names = {"clearance": "_m", "sag": "_m", "swing": "_deg", "load_skew": ""}
+        fields = {}
+        for stem, unit in names.items():
+            fields |= {f"{stem}{unit}": value, f"{stem}_u": u, f"{stem}_lo": value, f"{stem}_hi": value}
+        for minute in range(3):
+            bench.alarms.look([reading(1 + minute, **fields)], START + timedelta(minutes=minute))
 
 
 def test_a_disk_that_refuses_costs_no_alarm(tmp_path, caplog):

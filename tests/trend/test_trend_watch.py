@@ -6,6 +6,8 @@ from importlib.resources import files
 from pathlib import Path
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from sagnode.config.load import load_span
 from sagnode.message import Estimate, QualityMessage, Reading, estimate_fields
@@ -175,6 +177,16 @@ def test_refused_and_doubtful_readings_are_no_past_either():
     assert marked(trend.judge([invalid("L1", 4)])) == []
 
 
+@given(st.floats(-1e308, 1e308), st.floats(0, 1e308), st.floats(-1e308, 1e308))
+def test_no_number_of_a_mad_worker_ends_the_watch(sag, u, swing):
+    trend = watch(("L1",))
+    trend.judge(burst(0, L1=8.0))
+    mad = Estimate(sag, u, sag, sag)
+    reading = one("L1", 5, 8.0, **estimate_fields({"inplane_sag": mad, "swing": Estimate(swing, 1.0, swing, swing)}))
+    (judged,) = trend.judge([reading])
+    assert judged.inplane_sag_m == sag
+
+
 def test_a_clock_that_goes_back_makes_no_jump_of_a_slow_change():
     trend = watch(("L1",))
     trend.judge(burst(0, L1=8.0))
@@ -189,10 +201,10 @@ def test_what_it_knows_is_restored_from_the_readings_that_were_recorded():
     story = [burst(5 * k, L1=8.3, L2=8.3 + (1.0 if k >= 6 else 0.0), L3=8.3) for k in range(20)]
     whole = [marked(one_run.judge(b)) for b in story]
     restarted = []
-    for given in story:
+    for made in story:
         afresh = watch()
         afresh.remember([Reading.model_validate_json(text) for text in recorded])
-        judged = afresh.judge(given)
+        judged = afresh.judge(made)
         restarted.append(marked(judged))
         recorded += [json.dumps(r.model_dump(mode="json")) for r in judged]
     assert restarted == whole

@@ -224,7 +224,9 @@ class Trend:
         watched = self._watched.get(reading.conductor)
         # The swung conductor's own sag does not change with the wind as its vertical part does.
         sag = reading_estimate(reading, "inplane_sag") or reading_estimate(reading, "sag")
-        if watched is None or sag is None or sag.value <= 0 or reading.quality.validity is Validity.INVALID:
+        if watched is None or sag is None or reading.quality.validity is Validity.INVALID:
+            return None
+        if not 0.01 * watched.sag_min_m < sag.value < 100 * watched.sag_max_m:  # of no wire, and of no use to others
             return None
         swing = reading_estimate(reading, "swing")
         heavier = 1 / max(math.cos(math.radians(swing.value)), 0.1) - 1 if swing is not None else 0.0
