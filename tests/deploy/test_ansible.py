@@ -14,6 +14,10 @@ ANSIBLE = ROOT / "deploy" / "ansible"
 PLAY = shutil.which("ansible-playbook")
 
 
+WANTED = "SAGNODE_ANSIBLE" in os.environ
+pytestmark = pytest.mark.skipif(not WANTED, reason="takes a minute and needs Ansible; SAGNODE_ANSIBLE=1 runs it")
+
+
 def test_the_role_is_clean():
     lint = shutil.which("ansible-lint")
     if lint is None:
@@ -25,9 +29,6 @@ def test_the_role_is_clean():
         text=True,
     )
     assert result.returncode == 0, result.stdout + result.stderr
-
-
-WANTED = "SAGNODE_ANSIBLE" in os.environ
 
 
 @pytest.fixture
@@ -76,7 +77,6 @@ def changed(said):
     return int(re.search(r"unit-1 .*changed=(\d+)", said)[1])
 
 
-@pytest.mark.skipif(not WANTED, reason="takes a minute; SAGNODE_ANSIBLE=1 runs it")
 @pytest.mark.timeout(400)
 def test_a_unit_is_configured_and_enrolled_once_and_a_bad_configuration_never_reaches_it(play):
     play("--check")

@@ -127,7 +127,6 @@ def sequences(party):
     ("trouble", "said"),
     [
         ("expired", "unit.pem (certificate expired, ends 2020-01-01"),
-        ("strange", "unit.pem (unknown ca, ends"),
         ("revoked", "unit.pem (certificate revoked, ends"),
     ],
 )
@@ -138,9 +137,6 @@ def test_a_refused_certificate_is_told_readings_are_kept_and_renewal_needs_no_re
     match trouble:
         case "expired":
             enrol(ca, tls, UNIT, by_hand=True, UNTIL="20200101000000Z")
-        case "strange":
-            ran(CA, tmp_path / "strange", "init")
-            enrol(tmp_path / "strange", tls, UNIT)
         case "revoked":
             enrol(ca, tls, UNIT)
             ran(CA, ca, "revoke", UNIT)
