@@ -1,5 +1,7 @@
 """The way to a real mosquitto: each step that can fail is told by its own name."""
 
+import os
+
 import pytest
 from brokers import MOSQUITTO, Mosquitto, free_port, make_certificates
 
@@ -42,6 +44,23 @@ def test_a_plain_broker_with_a_password(tmp_path):
             assert "wrong" not in found.text.replace("refused", "")
         assert "the daemon is connected" in walked(wrong, (True, "connected to b"))[LOGIN].text
         assert "n-doctor" in walked(right, (False, "hung up"))[LOGIN].text
+
+
+@needs_mosquitto
+@pytest.mark.skipif(os.geteuid() != 0, reason="takes a file from another user, which only root can")
+def test_a_secret_that_this_user_may_not_read_is_no_fault(tmp_path):
+    (tmp_path / "secret").write_text("right\n")
+    (tmp_path / "secret").chmod(0o600)
+    with Mosquitto(tmp_path) as mosquitto:
+        broker = Broker("127.0.0.1", mosquitto.port, "n", True, "unit", tmp_path / "secret")
+        for place in (tmp_path, *tmp_path.parents[:2]):
+            place.chmod(0o755)
+        os.seteuid(65534)
+        try:
+            found = walked(broker)[LOGIN]
+        finally:
+            os.seteuid(0)
+    assert found.level is Level.SKIPPED and "as root" in found.text
 
 
 @needs_mosquitto

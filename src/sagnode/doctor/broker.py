@@ -43,7 +43,7 @@ def check_broker(broker: Broker, daemon_says: tuple[bool, str] | None) -> Iterat
         failed = check if finding.level is Level.FAULT else failed
         yield finding
     if broker.cert_file is not None:
-        yield _own_certificate(broker.cert_file)
+        yield _own_certificate(broker, broker.cert_file)
     if failed:
         yield skipped(LOGIN, f"not tried, for {failed} failed")
     elif daemon_says is not None and daemon_says[0]:
@@ -93,9 +93,13 @@ def _tls(broker: Broker) -> Finding:
     return ok(TLS, text)
 
 
-def _own_certificate(file: Path) -> Finding:
+def _own_certificate(broker: Broker, file: Path) -> Finding:
     """Python's ssl does not tell the dates of a client's own certificate; openssl does, where it is installed."""
     check = "broker client certificate"
+    try:
+        file.open("rb").close()
+    except OSError as error:
+        return _explained(check, broker, error)
     program = shutil.which("openssl")
     if program is None:
         return skipped(check, f"the dates of {file} are not known here: openssl is not installed")
@@ -142,6 +146,9 @@ def _log_in(broker: Broker, *, beside: bool) -> Finding:
 
 
 def _explained(check: str, broker: Broker, error: Exception) -> Finding:
+    if isinstance(error, PermissionError) and error.filename:
+        # What is secret is the service's to read; that says nothing of the way to the broker.
+        return skipped(check, f"not tried: {error.filename} may not be read by this user; run doctor as root")
     what, _, remedy = broker.explain(error).rpartition("; ")
     return fault(check, what or remedy, remedy if what else "")
 

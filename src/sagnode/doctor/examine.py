@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import json
-import os
 import subprocess
 import sys
 from collections.abc import Collection, Iterator
@@ -18,7 +17,7 @@ from sagnode.config.check import check
 from sagnode.config.load import LoadedNode
 from sagnode.daemon.node import configured_broker
 from sagnode.doctor import findings, place, system
-from sagnode.doctor.broker import LOGIN, check_broker
+from sagnode.doctor.broker import check_broker
 from sagnode.doctor.findings import Finding, Level, fault, ok, skipped, warning
 from sagnode.errors import ConfigError
 from sagnode.worker.supervisor import START_DEADLINE_S
@@ -158,12 +157,6 @@ def _broker(loaded: LoadedNode, said: dict[str, Any] | None, *, left_out: bool) 
     broker = configured_broker(mqtt, mqtt.client_id or f"sagnode-{loaded.node.unit.unit}")
     page = said["status"] if said else None
     daemon_says = (page["broker_connected"] is True, str(page["health"]["broker"])) if page else None
-    if password is not None and not os.access(password, os.R_OK) and not (daemon_says and daemon_says[0]):
-        for finding in check_broker(broker, daemon_says):
-            if finding.check != LOGIN:
-                yield finding
-        yield skipped(LOGIN, f"not tried: {password} may not be read by this user; run doctor as root")
-        return
     yield from check_broker(broker, daemon_says)
 
 
