@@ -1,5 +1,7 @@
 """The camera model against OpenCV's own projection, and its derivatives against differences."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -78,6 +80,17 @@ def test_points_behind_and_far_outside_the_lens_are_not_projected() -> None:
     assert depth[0] < 0
     np.testing.assert_allclose(pixels[2], [PLAIN.cx, PLAIN.cy], atol=1e-9)
     assert inside(PLAIN, pixels).tolist() == [False, False, True]
+
+
+def test_a_perfect_lens_that_is_given_a_trace_of_distortion_folds_nothing_back_into_the_frame() -> None:
+    perfect = Intrinsics(1456, 1088, 1739.0, 1739.0, 727.5, 543.5)
+    beside = np.array([[2.0, 0.1, 0.002], [30.0, 5.0, 1.0]]) @ POSE.rotation + POSE.position
+    assert np.isfinite(project(perfect, POSE, beside)[0]).all()
+    # as the joint estimate does: a correction of k1
+    estimated = replace(perfect, distortion=(-1e-6, 0.0, 0.0, 0.0))
+    assert np.isnan(project(estimated, POSE, beside)[0]).all()
+    pixels, _ = project(estimated, POSE, points_ahead(200))
+    assert pixels == pytest.approx(project(perfect, POSE, points_ahead(200))[0], abs=1e-3)
 
 
 @pytest.mark.parametrize(

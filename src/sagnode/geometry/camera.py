@@ -136,12 +136,11 @@ def undistort(intrinsics: Intrinsics, u: FloatArray, v: FloatArray) -> tuple[Flo
 
 
 def field_radius(intrinsics: Intrinsics) -> float:
-    """Largest normalised undistorted radius inside the frame, with 10 % to spare; infinite without distortion.
+    """Largest normalised undistorted radius inside the frame, with 10 % to spare.
 
-    Beyond it a distortion polynomial may fold back into the frame, so nothing is projected there.
+    Beyond it a distortion polynomial may fold back into the frame, so nothing is projected there by a lens that has one
+    (or is given one by an estimate of k1: the slightest folds back what passes close to the camera).
     """
-    if not any(intrinsics.distortion):
-        return float("inf")
     w, h = intrinsics.width - 1, intrinsics.height - 1
     edge = np.linspace(0.0, 1.0, 9)
     u = np.concatenate([edge * w, edge * w, np.zeros(9), np.full(9, w)])
