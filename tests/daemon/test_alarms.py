@@ -154,8 +154,19 @@ def test_uneven_load_is_suspected_ice_when_it_is_large_and_sure(bench):
     bench.read(load_skew=-0.2, u=0.04)
     assert "heavier at the near end" in bench.alarm("ice-suspect").text
     for _ in range(3):
-        bench.read(sag=8.0)  # a reading that does not tell of load
+        bench.invalid()
     assert bench.alarm("ice-suspect") is not None
+    for _ in range(3):
+        bench.read(sag=8.0)  # an even load was enough for these
+    assert bench.alarm("ice-suspect") is None
+
+
+def test_readings_that_are_refused_for_an_uneven_load_raise_the_suspicion_as_well(bench):
+    bench.invalid(Cause.ICE_SUSPECT)
+    bench.invalid(Cause.DARK)
+    assert bench.alarm("ice-suspect") is None
+    bench.invalid(Cause.ICE_SUSPECT)
+    assert (bench.alarm("ice-suspect").text, bench.alarm("ice-suspect").value) == ("because", None)
 
 
 def test_a_moved_camera_is_told_and_fog_says_nothing_of_it(bench):

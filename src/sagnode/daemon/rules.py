@@ -117,13 +117,17 @@ class SwingRule(Rule):
 
 @dataclass(frozen=True)
 class IceRule(Rule):
-    """The load hangs unevenly on the span, surely and by more than the limit; readings without it show nothing."""
+    """The estimate needed an uneven load, or was refused for one; or the load is uneven surely and beyond the limit."""
 
     def of_reading(self, reading: ReadingHeader, *, active: bool) -> Evidence:
         """See :meth:`Rule.of_reading`."""
         found = reading_estimate(reading, "load_skew")
+        for reason in reading.quality.reasons:
+            if reason.cause is Cause.ICE_SUSPECT:
+                return Evidence(True, reason.text, found, abs(found.value) if found else None)
         if found is None or self.limit is None:
-            return NOTHING
+            even = reading.quality.validity is not Validity.INVALID
+            return Evidence(False, "the wire hangs as under an even load") if even else NOTHING
         size = abs(found.value)
         uneven = size > self.limit - (self.hysteresis if active else 0.0) and size > ICE_Z * found.u
         where = "far" if found.value > 0 else "near"
