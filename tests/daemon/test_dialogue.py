@@ -5,9 +5,9 @@ import json
 import os
 import re
 import shutil
+import sqlite3
 import subprocess
 import sys
-import time
 from importlib.resources import files
 from pathlib import Path
 from types import SimpleNamespace
@@ -154,9 +154,19 @@ def test_a_picture_is_sent_when_it_is_asked_for(node):
     assert "no conductor L9; there are L1, L2, L3" in refused.error
 
 
+def settled(node):
+    """How many readings have come once none is owed; acknowledgements are written some time after they came."""
+
+    def owed():
+        with contextlib.closing(sqlite3.connect(node.directory / "state" / "journal.sqlite")) as db:
+            return db.execute("SELECT count(*) FROM readings WHERE fate <> 'delivered'").fetchone()[0]
+
+    node.subscriber.wait_for(lambda _: not owed())
+    return len(node.subscriber.readings())
+
+
 def test_readings_are_sent_again_when_asked_for_as_backfill(node):
-    before = len(node.subscriber.readings())
-    time.sleep(0.3)  # acknowledgements are written some time after they came
+    before = settled(node)
     reply = read(reply_to(node, {"command": "resend", "from_sequence": 1, "to_sequence": 2}))
     assert (reply.ok, reply.resent) == (True, 2)
     node.subscriber.wait_for(lambda s: len(s.readings()) >= before + 2)
@@ -168,7 +178,7 @@ def test_readings_are_sent_again_when_asked_for_as_backfill(node):
 
 
 def test_a_bad_command_is_answered_and_does_nothing_and_a_retained_one_not_even_that(node):
-    made, answered = len(node.subscriber.readings()), len(node.subscriber.of("reply"))
+    made, answered = settled(node), len(node.subscriber.of("reply"))
     ask(node, {"command": "measure"}, retain=True)
     ask(node, b"", retain=True)  # takes it back; no command by itself, and retained as well
     refused = read(reply_to(node, {"command": "measure", "now": True}))
