@@ -15,6 +15,7 @@ from sagnode.capture.images import read_grey
 from sagnode.config.node import Measure, Method
 from sagnode.config.span import Conductor, Ground, Limits, Span
 from sagnode.errors import ConfigError, FrameError
+from sagnode.geometry.bundle import sub_conductor_offsets
 from sagnode.geometry.camera import FloatArray, Intrinsics, Pose, rotation_from_angles
 from sagnode.geometry.ground import GroundProfile
 from sagnode.geometry.quantities import Stringing
@@ -31,7 +32,9 @@ class SiteConductor:
     phase: str | None
     survey: Survey
     width: float
-    """Diameter of the wire, or outer width of the bundle."""
+    """Diameter of one wire."""
+    members: FloatArray
+    """Sub-conductors of a bundle about its centre line (m, 3); one row of zeros for a single wire."""
     swing_max: float
     unit_weight_n_m: float | None
     stringing: Stringing | None
@@ -138,7 +141,6 @@ def _conductor(conductor: Conductor, span: Span, intrinsics: Intrinsics, pose: P
         sag_range=(conductor.sag_min_m, conductor.sag_max_m),
         swing_u=float(np.radians(span.swing.prior_u_deg)),
     )
-    bundle = conductor.bundle_spacing_m if conductor.sub_conductors > 1 else 0.0
     stringing = None
     if conductor.stringing is not None:
         data = conductor.stringing
@@ -148,7 +150,8 @@ def _conductor(conductor: Conductor, span: Span, intrinsics: Intrinsics, pose: P
         id=conductor.id,
         phase=conductor.phase,
         survey=survey,
-        width=conductor.diameter_m + bundle,
+        width=conductor.diameter_m,
+        members=sub_conductor_offsets(survey.near, survey.far, conductor.sub_conductors, conductor.bundle_spacing_m),
         swing_max=float(np.radians(span.swing.max_deg)),
         unit_weight_n_m=conductor.unit_weight_n_m,
         stringing=stringing,

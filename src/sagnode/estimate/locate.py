@@ -11,6 +11,8 @@ from sagnode.capture.port import GreyImage
 from sagnode.estimate.joint import CurveObservations, Solution, log_odds, solve, unevenness
 from sagnode.estimate.register import Registered, moved_survey
 from sagnode.geometry.camera import FloatArray
+from sagnode.geometry.conductor import gravity_direction
+from sagnode.match.bundle import lines
 from sagnode.match.refine import (
     Observed,
     Sighting,
@@ -22,7 +24,7 @@ from sagnode.match.refine import (
     sight,
     trace,
 )
-from sagnode.match.ribbon import SIDE_OFFSET_PX, normals, pair_response
+from sagnode.match.ribbon import line_response, normals
 from sagnode.match.search import Candidate, search
 from sagnode.match.templates import SAMPLES, STEP_PX, View
 from sagnode.site import Site, SiteConductor
@@ -127,13 +129,13 @@ def locate(site: Site, image: GreyImage, registered: Registered) -> dict[str, Ma
         match = alone[conductor.id]
         if match is not None and conductor.measured and _hangs_apart(match, [m for m in alone.values() if m]):
             alone[conductor.id] = _even_or_not(image, conductor, registered, match, APART_ODDS)
-    curves = {name: m.track.pixels for name, m in alone.items() if m is not None}
+    curves = {name: m.track.wires() for name, m in alone.items() if m is not None}
     found: dict[str, Matched] = {}
     for conductor in site.conductors:
         first = alone[conductor.id]
         if first is None or not conductor.measured:
             continue
-        others = [pixels for name, pixels in curves.items() if name != conductor.id]
+        others = [wire for name, wires in curves.items() if name != conductor.id for wire in wires]
         if runs_near(first.track, others, STAGES[-1].half_range_px):
             masked = _refine(image, conductor, first.survey, registered, first.solution.theta, others, STAGES[1:])
             first = None if masked is None else replace(masked, rival=first.rival)
@@ -151,7 +153,7 @@ def _view(survey: Survey, conductor: SiteConductor, theta: FloatArray) -> View:
     intrinsics, pose = survey.camera(theta)
     shape = survey.shape(theta)
     load = tuple(float(term) for term in theta[LOAD]) if survey.load_u > 0 else ()
-    return View(intrinsics, pose, shape.near, shape.far, conductor.width, load)
+    return View(intrinsics, pose, shape.near, shape.far, conductor.width, load, conductor.members)
 
 
 def _find(image: GreyImage, conductor: SiteConductor, registered: Registered) -> Matched | None:
@@ -251,6 +253,8 @@ def _find_even(image: GreyImage, conductor: SiteConductor, survey: Survey, regis
     starts = [results[0].solution.theta, *_along_the_valley(image, results[0], conductor)]
     starts += [r.solution.theta for r in results[1:] if _rivalry(image, results[0], r) > RIVAL_WORTH_A_LOOK]
     refined = [_refine(image, conductor, survey, registered, start, [], STAGES[1:]) for start in starts]
+    aside = _a_spacing_aside(results[0], conductor)
+    refined += [_refine(image, conductor, survey, registered, start, [], STAGES) for start in aside]
     finals = sorted(filter(None, refined), key=_merit, reverse=True)
     if not finals:
         return None
@@ -273,15 +277,16 @@ def _along_the_valley(image: GreyImage, found: Matched, conductor: SiteConductor
     low, high = found.survey.sag_range
     per_unit = max(abs(direction[SAG]), 1e-9)
     reach = min(4 * length, (high - low) / per_unit)
-    t = found.track.t[mixed_samples(found.track, SAMPLES)]
+    some = mixed_samples(found.track, SAMPLES)
+    t = found.track.t[some]
 
-    def pixels(amount: float) -> tuple[FloatArray, FloatArray]:
+    def pixels(amount: float) -> FloatArray:
         moved = theta + amount * direction
-        return _view(found.survey, conductor, moved).pixels(float(moved[SAG]), float(moved[SWING]), t)
+        return _view(found.survey, conductor, moved).pixels(float(moved[SAG]), float(moved[SWING]), t)[0]
 
-    base, depth = pixels(0.0)
+    base = pixels(0.0)
     small = 0.02 * reach
-    travel = np.abs(np.sum((pixels(small)[0] - base) * normals(base), axis=1)) / small
+    travel = np.abs(np.sum((pixels(small) - base) * normals(base), axis=1)) / small
     if not np.isfinite(travel).any() or float(np.nanmax(travel)) * reach < 2 * STAGES[0].half_range_px / 3:
         return []
     count = int(np.clip(2 * reach * float(np.nanpercentile(travel, 95)) / STEP_PX, 9, 300))
@@ -293,11 +298,12 @@ def _along_the_valley(image: GreyImage, found: Matched, conductor: SiteConductor
     # a pixel's way along the valley is smooth: a polynomial through a few exact curves gives the others
     middle, half = 0.5 * (amounts[0] + amounts[-1]), 0.5 * (amounts[-1] - amounts[0])
     nodes = np.polynomial.chebyshev.chebpts1(VALLEY_NODES)
-    exact = np.stack([pixels(float(middle + half * node))[0] for node in nodes])
+    exact = np.stack([pixels(float(middle + half * node)) for node in nodes])
     through = np.linalg.inv(np.polynomial.chebyshev.chebvander(nodes, VALLEY_NODES - 1))
     wanted = np.polynomial.chebyshev.chebvander((amounts - middle) / max(half, 1e-12), VALLEY_NODES - 1)
     curves = np.tensordot(wanted @ through, exact, axes=1)
-    response = _response(image, curves, found.view.width_px(depth))
+    place, side = lines(found.track.members[:, some], found.track.width[some])
+    response = line_response(image, curves, normals(curves), place, side)
     # one more sample that shows nothing: a curve that is out of the frame is no good one
     scores = np.nansum(response, axis=1) / (np.isfinite(response).sum(axis=1) + 1)
     starts = []
@@ -307,6 +313,28 @@ def _along_the_valley(image: GreyImage, found: Matched, conductor: SiteConductor
         best = int(np.nanargmax(scores))
         starts.append(theta + amounts[best] * direction)
         scores[max(0, best - 3) : best + 4] = -np.inf
+    return starts
+
+
+def _a_spacing_aside(found: Matched, conductor: SiteConductor) -> list[FloatArray]:
+    """Starts θ (24,) at which the sub-conductors of a bundle would lie where others of it seem to be.
+
+    A pattern that lies a spacing off covers a part of the bundle and looks like half an answer; against the right one
+    it must lose. None for a single wire.
+    """
+    theta = found.solution.theta
+    starts: list[FloatArray] = []
+    shape = found.survey.shape(theta)
+    swing_now = float(theta[SWING])
+    down, turned = gravity_direction(shape.near, shape.far, np.array([swing_now, swing_now + 0.5 * np.pi]))
+    between = (conductor.members[:, None] - conductor.members).reshape(-1, 3)
+    sags, swings = between @ down, between @ turned / max(float(theta[SAG]), 1e-6)
+    for sag, swing in np.unique(np.round(np.stack([sags, swings], axis=1), 6), axis=0):
+        if sag or swing:
+            start = theta.copy()
+            start[SAG] += sag
+            start[SWING] += swing
+            starts.append(start)
     return starts
 
 
@@ -324,21 +352,13 @@ def _rivalry(image: GreyImage, best: Matched, other: Matched) -> float:
     (swing_a, v_a), (swing_b, v_b) = best.swing, other.swing
     if abs(sag_a - sag_b) < 3 * np.hypot(u_a, u_b) and abs(swing_a - swing_b) < 3 * np.hypot(v_a, v_b):
         return 0.0
-    mine = _response(image, best.track.pixels, best.track.width)[~near_another(best.track, other.track, RIVAL_APART_PX)]
-    theirs = _response(image, other.track.pixels, other.track.width)[
-        ~near_another(other.track, best.track, RIVAL_APART_PX)
-    ]
+    mine = best.track.response(image)[~near_another(best.track, other.track, RIVAL_APART_PX)]
+    theirs = other.track.response(image)[~near_another(other.track, best.track, RIVAL_APART_PX)]
     if len(theirs) < RIVAL_MIN_PX or not np.isfinite(theirs).any() or np.nanmean(theirs) < RIVAL_RESPONSE:
         return 0.0
     own = float(np.nanmean(mine)) if np.isfinite(mine).any() else 0.0
     apart = float(np.nanmean(theirs)) / max(own, 1e-3)
     return min(apart, _merit(other) / max(_merit(best), 1e-3))
-
-
-def _response(image: GreyImage, pixels: FloatArray, width: FloatArray) -> FloatArray:
-    """Pair response (..., N) along curves (..., N, 2) of a wire of that width (N,)."""
-    side = np.maximum(SIDE_OFFSET_PX, 0.5 * width + 1.5)[:, None] * normals(pixels)
-    return pair_response(image, pixels, side).astype(np.float64)
 
 
 def _refine(
@@ -385,9 +405,7 @@ def _refine(
 
 def _mixed_response(image: GreyImage, track: Track) -> float:
     """Mean response of a curve, half by length in the picture and half by length of the span, grey levels."""
-    some = mixed_samples(track, SAMPLES)
-    side = np.maximum(SIDE_OFFSET_PX, 0.5 * track.width[some] + 1.5)[:, None] * track.normal[some]
-    response = pair_response(image, track.pixels[some], side)
+    response = track.response(image, mixed_samples(track, SAMPLES))
     return float(np.nanmean(response)) if np.isfinite(response).any() else 0.0
 
 

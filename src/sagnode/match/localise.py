@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -64,7 +65,7 @@ class Blocks:
 
 
 def wire_kernel(width_px: ArrayLike, positions: FloatArray, blur_px: float = BLUR_PX) -> FloatArray:
-    """Blurred box of ``width_px`` (...) and height 1 at ``positions`` (N,) px across: shape (..., N).
+    """Blurred box of ``width_px`` (...) and height 1 at ``positions`` (..., N) px across: shape (..., N).
 
     A wire thinner than a pixel keeps the shape of the blur, with its peak scaled down by its width.
     """
@@ -131,10 +132,15 @@ def localise_beside(
     block_px: float = 8.0,
     blur_px: float = BLUR_PX,
     margin_px: float = MARGIN_PX,
+    members: FloatArray | None = None,
 ) -> tuple[Blocks, Beside]:
     """Measure the wire's offset as :func:`localise` does, and look likewise about the curve shifted across.
 
     One ribbon serves all: it is as wide as the farthest shift (``shifts_px``, px along the normal) asks for.
+
+    ``members`` (m, N) are the offsets across the curve, px, of the sub-conductors of a bundle whose centre line the
+    curve is. Each has its ribbon, and a kernel that shows the others where they are near; their scores add up, so that
+    the offset is that of the whole pattern, and where the pattern lies a whole spacing off, only a part of it fits.
     """
     if len(pixels) < 2:
         nothing = np.empty(0)
@@ -150,15 +156,25 @@ def localise_beside(
     far = int(np.ceil(half_range_px / STEP_PX)) + 1
     centres = np.rint(np.array([0.0, *shifts_px]) / STEP_PX).astype(np.intp)
     reach = int(np.max(np.abs(centres))) + far
-    profiles = _profiles(image, pixels, normal, starts, reach + near, far + near)
-    kernel = unit_kernels(width, STEP_PX * _steps(near), blur_px)
-    amplitude, energy = compare(profiles, kernel)
+    if members is None:
+        members = np.zeros((1, len(pixels)))
+    wires = [pixels + offset[:, None] * normal for offset in members] if len(members) > 1 else [pixels]
+    middles = np.add.reduceat(members, starts, axis=1) / size
+    kernels = bundle_kernels(width, middles, STEP_PX * _steps(near), blur_px)
+    compared = [
+        compare(_profiles(image, wire, normal, starts, reach + near, far + near), kernel)
+        for wire, kernel in zip(wires, kernels, strict=True)
+    ]
+    amplitude, energy = (np.sum(part, axis=0) for part in zip(*compared, strict=True))
+    kernel = np.concatenate(kernels, axis=1)
     window = reach + centres[:, None, None] + np.arange(-far, far + 1)
     row = np.arange(len(starts))[:, None]
-    position, sigma, snr, likeness, contrast = _peaks(amplitude[row, window], energy[row, window], kernel)
+    position, sigma, snr, likeness, contrast = _peaks(
+        amplitude[row, window], energy[row, window], kernel, len(wires), _overlap(kernels, middles)
+    )
     offset = STEP_PX * (position - far)
     ends = np.asarray(STEP_PX * (centres[:, None] + np.array([-far - near, far + near])), dtype=np.float64)
-    seen = _inside(image, pixels, normal, starts, ends)
+    seen = np.all([_inside(image, wire, normal, starts, ends) for wire in wires], axis=0)
     valid = seen & np.isfinite(offset) & (np.abs(offset) <= half_range_px)
     middle = starts + size // 2
     blocks = Blocks(
@@ -234,12 +250,50 @@ def unit_kernels(width: FloatArray, positions: FloatArray, blur_px: float = BLUR
     return np.asarray(kernel / np.linalg.norm(kernel, axis=1, keepdims=True))
 
 
+def bundle_kernels(width: FloatArray, middles: FloatArray, positions: FloatArray, blur_px: float) -> list[FloatArray]:
+    """Kernels (M, n) about each of the sub-conductors at ``middles`` (m, M) px, which show the others within reach.
+
+    Without mean and slope each, and together of unit norm.
+    """
+    if len(middles) == 1:
+        return [unit_kernels(width, positions, blur_px)]
+    slope = positions / np.linalg.norm(positions)
+    kernels = []
+    for middle in middles:
+        shown = [wire_kernel(width, positions - (other - middle)[:, None], blur_px) for other in middles]
+        kernel = np.sum(shown, axis=0)
+        kernel -= kernel.mean(axis=1, keepdims=True)
+        kernels.append(kernel - (kernel @ slope)[:, None] * slope)
+    norm = np.linalg.norm(np.concatenate(kernels, axis=1), axis=1, keepdims=True)
+    return [np.asarray(kernel / norm) for kernel in kernels]
+
+
+def _overlap(kernels: list[FloatArray], middles: FloatArray) -> FloatArray:
+    """By how much (M,) the noise that windows about sub-conductors at ``middles`` (m, M) px share makes offsets worse.
+
+    An offset's variance goes with the squares of the kernels' slopes; where two of them meet the same pixels, with the
+    square of their sum.
+    """
+    slopes = [np.gradient(kernel, axis=1) for kernel in kernels]
+    alone = np.sum([np.sum(slope**2, axis=1) for slope in slopes], axis=0)
+    shared = np.zeros_like(alone)
+    columns, last = np.arange(kernels[0].shape[1]), kernels[0].shape[1] - 1
+    for j, k in combinations(range(len(kernels)), 2):
+        place = columns + (middles[j] - middles[k])[:, None] / STEP_PX
+        first = np.clip(np.floor(place).astype(np.intp), 0, last - 1)
+        here, there = (np.take_along_axis(slopes[k], first + step, axis=1) for step in (0, 1))
+        met = np.where((place >= 0) & (place <= last), here + (place - first) * (there - here), 0.0)
+        shared += 2 * np.sum(slopes[j] * met, axis=1)
+    return np.asarray(np.maximum(1.0, 1 + shared / alone))
+
+
 def _peaks(
-    amplitude: FloatArray, energy: FloatArray, kernel: FloatArray
+    amplitude: FloatArray, energy: FloatArray, kernel: FloatArray, wires: int, overlap: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
     """Best position (fractional window number), sigma px, snr, correlation and contrast (S, M).
 
-    From the amplitude and energy (S, M, K) of the windows about S places of M blocks, with their kernels (M, n).
+    From the amplitude and energy (S, M, K) of the windows about S places of M blocks, with their kernels (M, n) for
+    all sub-conductors one after the other, and what their windows share makes of the variance (M,).
     """
     n = kernel.shape[1]
     score = correlation(amplitude, energy, n)
@@ -256,9 +310,10 @@ def _peaks(
     with np.errstate(divide="ignore", invalid="ignore"):
         position = np.where(summit, peak[..., 0] + 0.5 * (before - after) / bend, np.nan)
     size = np.abs(height)
-    noise = np.sqrt(np.maximum(at(energy) - size**2, 0.0) / (n - 3) + ROUNDING_GREY**2)
-    steepness = np.linalg.norm(np.gradient(kernel, STEP_PX, axis=1), axis=1)
-    snr = size / (noise * np.sqrt(CORRELATED))
+    noise = np.sqrt(np.maximum(at(energy) - size**2, 0.0) / (n - 3 * wires) + ROUNDING_GREY**2)
+    slopes = np.asarray(np.gradient(kernel.reshape(len(kernel), wires, -1), STEP_PX, axis=2))
+    steepness = np.sqrt(np.sum(slopes**2, axis=(1, 2)))
+    snr = size / (noise * np.sqrt(CORRELATED * overlap))
     sigma = 1 / np.maximum(snr * steepness, 1e-6)
     return position, sigma, snr, here, height * np.ptp(kernel, axis=1)
 

@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 
 from sagnode.capture.port import GreyImage
 from sagnode.geometry.camera import FloatArray
+from sagnode.match.bundle import lines
 from sagnode.match.localise import Beside, Blocks, localise_beside
-from sagnode.match.ribbon import SIDE_OFFSET_PX, arc_length, normals, pair_response
+from sagnode.match.ribbon import arc_length, line_response, normals
 from sagnode.match.templates import View, visible_part
 
 WINDOW_PX = 24.0
@@ -44,8 +45,9 @@ class Track:
         t: curve parameters (N,).
         pixels: (N, 2).
         normal: unit normals (N, 2).
-        width: projected width of the conductor, px (N,).
+        width: projected width of one wire, px (N,).
         arc: position along the curve, px (N,).
+        members: offsets of a bundle's sub-conductors across the curve, px (m, N); one row of zeros for a wire.
     """
 
     t: FloatArray
@@ -53,6 +55,16 @@ class Track:
     normal: FloatArray
     width: FloatArray
     arc: FloatArray
+    members: FloatArray
+
+    def wires(self) -> list[FloatArray]:
+        """Polylines (N, 2) of the wires themselves."""
+        return [self.pixels + offset[:, None] * self.normal for offset in self.members]
+
+    def response(self, image: GreyImage, some: slice | NDArray[np.intp] = slice(None)) -> FloatArray:
+        """Response (n,) of some samples, grey levels; NaN outside the frame."""
+        place, side = lines(self.members[:, some], self.width[some])
+        return line_response(image, self.pixels[some], self.normal[some], place, side).astype(np.float64)
 
 
 @dataclass(frozen=True)
@@ -95,7 +107,9 @@ def trace(view: View, sag: float, swing: float, margin: float = 3.0) -> Track | 
     keep = np.isfinite(pixels).all(axis=1)
     if not keep.all():
         t, pixels, depth = t[keep], pixels[keep], depth[keep]
-    return Track(t, pixels, normals(pixels), view.width_px(depth), arc_length(pixels))
+    normal = normals(pixels)
+    members = view.across(sag, swing, t, normal)
+    return Track(t, pixels, normal, view.width_px(depth), arc_length(pixels), members)
 
 
 def mixed_samples(track: Track, count: int) -> NDArray[np.intp]:
@@ -110,7 +124,8 @@ def mixed_samples(track: Track, count: int) -> NDArray[np.intp]:
 def near_another(track: Track, other: Track, reach: float) -> NDArray[np.bool_]:
     """Which samples (N,) of a track have another within ``reach`` px across it."""
     every = max(1, len(track.t) // MOST_COMPARED)
-    near = _near(track.pixels[::every], track.normal[::every], other.pixels, reach)
+    pixels = track.pixels[::every]
+    near = _near(pixels, track.normal[::every], other.pixels, np.full(len(pixels), reach))
     return np.repeat(near, every)[: len(track.t)]
 
 
@@ -129,11 +144,13 @@ def observe(
         run: least number of usable blocks in a row.
     """
     away = [np.sign(shift) * (abs(shift) + half_range) for shift in SHIFTS_PX[:shifts]]
-    blocks, beside = localise_beside(image, track.pixels, track.normal, track.width, half_range, away, block_px)
+    blocks, beside = localise_beside(
+        image, track.pixels, track.normal, track.width, half_range, away, block_px, members=track.members
+    )
     rank, lead = _rank(blocks, beside)
     index = np.clip(np.round(blocks.index).astype(np.intp), 0, len(track.t) - 1)
     pixel, normal = track.pixels[index], track.normal[index]
-    reach = _reach(track, half_range)
+    reach = _reach(track, index, half_range)
     masked = _folds_back(track, index, reach)
     for other in others:
         masked |= _near(pixel, normal, other, reach)
@@ -187,14 +204,15 @@ def _neighbours_agree(blocks: Blocks, usable: NDArray[np.bool_]) -> NDArray[np.b
 
 def runs_near(track: Track, others: list[FloatArray], half_range: float) -> bool:
     """Whether any other polyline (K, 2) comes so close to a track that its blocks would be masked."""
-    every = slice(None, None, 8)
-    pixels, normal = track.pixels[every], track.normal[every]
-    return any(_near(pixels, normal, other, _reach(track, half_range)).any() for other in others)
+    every = np.arange(0, len(track.t), 8)
+    pixels, normal, reach = track.pixels[every], track.normal[every], _reach(track, every, half_range)
+    return any(_near(pixels, normal, other, reach).any() for other in others)
 
 
-def _reach(track: Track, half_range: float) -> float:
-    """Distance across the curve within which another wire disturbs a block, px."""
-    return half_range + 3.0 + 0.5 * float(np.median(track.width))
+def _reach(track: Track, index: NDArray[np.intp], half_range: float) -> FloatArray:
+    """Distance across the curve within which another wire disturbs a block at some samples (M,), px."""
+    outermost = np.max(np.abs(track.members[:, index]), axis=0)
+    return np.asarray(half_range + 3.0 + 0.5 * float(np.median(track.width)) + outermost)
 
 
 def _rank(blocks: Blocks, beside: Beside) -> tuple[FloatArray, FloatArray]:
@@ -232,8 +250,9 @@ def _with_neighbours(snr: FloatArray) -> FloatArray:
     return np.asarray(np.sqrt(total / 3))
 
 
-def _folds_back(track: Track, index: NDArray[np.intp], reach: float) -> NDArray[np.bool_]:
+def _folds_back(track: Track, index: NDArray[np.intp], reach: FloatArray) -> NDArray[np.bool_]:
     """Which samples (M,) have another stretch of the same curve within reach: its two halves seen along the line."""
+    reach = reach[:, None]
     every = slice(None, None, max(4, len(track.t) // MOST_COMPARED))
     pixels, arc, normal = track.pixels[every], track.arc[every], track.normal[every]
     across, along = _apart(track.pixels[index], track.normal[index], pixels)
@@ -244,14 +263,14 @@ def _folds_back(track: Track, index: NDArray[np.intp], reach: float) -> NDArray[
     return np.asarray((close & elsewhere).any(axis=1))
 
 
-def _near(pixel: FloatArray, normal: FloatArray, other: FloatArray, reach: float) -> NDArray[np.bool_]:
-    """Which points (M, 2) have another polyline (K, 2) within ``reach`` px across the curve (and 12 px along it)."""
+def _near(pixel: FloatArray, normal: FloatArray, other: FloatArray, reach: FloatArray) -> NDArray[np.bool_]:
+    """Which points (M, 2) have another polyline (K, 2) within ``reach`` (M,) px across the curve, 12 px along it."""
     finite = other[np.isfinite(other).all(axis=1)]
     if not len(finite):
         return np.zeros(len(pixel), dtype=bool)
     # a point every few pixels of it is enough, since 12 px are looked along
     across, along = _apart(pixel, normal, finite[:: max(1, int(6.0 / max(_spacing(finite), 1e-3)))])
-    return np.asarray(((np.abs(across) < reach) & (np.abs(along) < 12.0)).any(axis=1))
+    return np.asarray(((np.abs(across) < reach[:, None]) & (np.abs(along) < 12.0)).any(axis=1))
 
 
 def _spacing(polyline: FloatArray) -> float:
@@ -286,8 +305,8 @@ def sight(image: GreyImage, track: Track) -> Sighting:
     t, arc = track.t[some], track.arc[some]
     shifts = np.concatenate([[0.0], np.arange(8.0, 41.0, 2.0), -np.arange(8.0, 41.0, 2.0)])
     centre = track.pixels[some] + shifts[:, None, None] * track.normal[some]
-    side = np.maximum(SIDE_OFFSET_PX, 0.5 * track.width[some] + 1.5)[:, None] * track.normal[some]
-    response = pair_response(image, centre, np.broadcast_to(side, centre.shape))
+    place, side = lines(track.members[:, some], track.width[some])
+    response = line_response(image, centre, track.normal[some], place, side)
     score = 0.0
     whole = _means(response)
     background = whole[1:][np.isfinite(whole[1:])]

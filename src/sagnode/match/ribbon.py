@@ -71,17 +71,28 @@ def straighten(image: GreyImage | Singles, pixels: FloatArray, normal: FloatArra
     return ribbon
 
 
-def pair_response(image: GreyImage, centre: FloatArray, side: FloatArray) -> NDArray[np.float32]:
-    """Polarity-agnostic line response (...) at centres (..., 2), with sides at ``centre ± side`` (..., 2).
+def line_response(
+    image: GreyImage, pixels: FloatArray, normal: FloatArray, place: FloatArray, side: FloatArray
+) -> NDArray[np.float32]:
+    """Polarity-agnostic response (..., N) along curves (..., N, 2), averaged over the lines that belong to each.
 
-    With a, b the two sides minus the centre: ``max(min(a, b), min(-a, -b))``, clipped to ±RESPONSE_CLIP. It is
-    positive where both sides are brighter (dark wire on sky) or both darker (sunlit wire before trees), and negative on
-    a mere edge. Samples whose centre or side is outside the frame are NaN.
+    With a, b the two sides of a line minus its middle: ``max(min(a, b), min(-a, -b))``, clipped to ±RESPONSE_CLIP. It
+    is positive where both sides are brighter (dark wire on sky) or both darker (sunlit wire before trees), and negative
+    on a mere edge. Samples of which anything is outside the frame are NaN.
+
+    Args:
+        image: raw grey frame.
+        pixels: the curves.
+        normal: their unit normals, broadcasting to (..., N, 2).
+        place: middle of each line across the curve, px (m, N).
+        side: distance of its sides from there, px (m, N).
     """
-    shape = centre.shape[:-1]
-    parts = (centre[..., 0], centre[..., 1], side[..., 0], side[..., 1])
-    u, v, side_u, side_v = (np.asarray(part, dtype=np.float32).reshape(-1, shape[-1]) for part in parts)
-    response, seen = pooled_response(image, (u, v), (side_u, side_v), np.ones((1, 1), np.float32), NO_BAND)
+    shape = pixels.shape[:-1]
+    normal = np.broadcast_to(normal, pixels.shape)
+    parts = (pixels[..., 0], pixels[..., 1], normal[..., 0], normal[..., 1])
+    u, v, nu, nv = (np.asarray(part, dtype=np.float32).reshape(-1, shape[-1]) for part in parts)
+    across = [np.asarray(part, dtype=np.float32)[:, None, :] for part in (place, side)]
+    response, seen = pooled_response(image, (u, v), (nu, nv), (across[0], across[1]), NO_BAND)
     return np.where(seen, response, np.float32(np.nan)).astype(np.float32).reshape(shape)
 
 
@@ -89,44 +100,53 @@ def pooled_response(
     image: GreyImage,
     pixel: tuple[Singles, Singles],
     normal: tuple[Singles, Singles],
-    side: Singles,
+    lines: tuple[Singles, Singles],
     band: Singles,
 ) -> tuple[NDArray[np.int16], NDArray[np.bool_]]:
-    """The best pair response within bands across curves, in whole grey levels, and which samples lie in the frame.
+    """The best response (see :func:`line_response`) within bands across curves, in whole grey levels.
 
     Args:
         image: raw grey frame.
         pixel: columns and rows (M, N) of the samples, px.
-        normal: both components (M, N) of the curves' normals.
-        side: distance of the sides from each place, in lengths of the normal; broadcasts to (M, N).
-        band: where across the curves to look (B, M), in lengths of the normal.
+        normal: both components (M, N) of the curves' unit normals.
+        lines: where across the curve each line is, and the distance of its sides, px (m, ...), broadcasting to (M, N).
+        band: where across the curves to look (B, M), px.
 
     Returns:
-        Responses (M, N), clipped to ±RESPONSE_CLIP, and whether a sample with both its sides is in the frame (M, N);
-        out of it a response says nothing.
+        Responses (M, N), and whether a sample with all its sides is in the frame (M, N); out of it a response says
+        nothing.
     """
     height, width = image.shape
     (u, v), (nu, nv) = pixel, normal
+    places, sides = lines
     seen = np.ones(u.shape, dtype=bool)
-    margin = float(np.max(np.abs(side)) + np.max(np.abs(band)))
+    outer = np.max(np.abs(places) + sides, axis=0)
+    margin = float(np.max(outer) + np.max(np.abs(band)))
     if not all(_within(p, margin, end - 1 - margin) for p, end in ((u, width), (v, height))):
         with np.errstate(invalid="ignore"):
             for p, n, end in ((u, nu, width), (v, nv, height)):
-                reach = np.abs(side * n)
+                reach = np.abs(outer * n)
                 seen &= (p >= reach) & (p + reach <= end - 1)
-    side_u, side_v = side * nu, side * nv
-    x, y = np.empty_like(u), np.empty_like(v)
     best = np.full(u.shape, -RESPONSE_CLIP, dtype=np.int16)
     for shift in band:
-        base_u, base_v = (u, v) if not shift.any() else (u + shift[:, None] * nu, v + shift[:, None] * nv)
-        centre = _grey(image, base_u, base_v)
-        left = _grey(image, np.subtract(base_u, side_u, out=x), np.subtract(base_v, side_v, out=y))
-        right = _grey(image, np.add(base_u, side_u, out=x), np.add(base_v, side_v, out=y))
-        dark = cv2.subtract(cv2.min(left, right), centre, dtype=cv2.CV_16S)
-        bright = cv2.subtract(centre, cv2.max(left, right), dtype=cv2.CV_16S)
-        response = cv2.max(dark, bright)
-        np.maximum(best, response, out=best)
-    return np.minimum(best, np.int16(RESPONSE_CLIP)), seen
+        total = np.zeros(u.shape, dtype=np.int16)
+        for place, side in zip(places, sides, strict=True):
+            away = place + shift[:, None]
+            base = (u + away * nu, v + away * nv) if away.any() else (u, v)
+            total += _response(image, base, (side * nu, side * nv))
+        np.maximum(best, total // np.int16(len(places)) if len(places) > 1 else total, out=best)
+    return best, seen
+
+
+def _response(image: GreyImage, at: tuple[Singles, Singles], side: tuple[Singles, Singles]) -> NDArray[np.int16]:
+    """Response (M, N) of one line, clipped, from its middle and the way to one of its sides."""
+    centre = _grey(image, at[0], at[1])
+    left = _grey(image, at[0] - side[0], at[1] - side[1])
+    right = _grey(image, at[0] + side[0], at[1] + side[1])
+    dark = cv2.subtract(cv2.min(left, right), centre, dtype=cv2.CV_16S)
+    bright = cv2.subtract(centre, cv2.max(left, right), dtype=cv2.CV_16S)
+    response = np.maximum(np.maximum(dark, bright), np.int16(-RESPONSE_CLIP))
+    return np.asarray(np.minimum(response, np.int16(RESPONSE_CLIP)), dtype=np.int16)
 
 
 def _grey(image: GreyImage, u: Singles, v: Singles) -> GreyImage:

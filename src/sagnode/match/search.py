@@ -15,9 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sagnode.capture.port import GreyImage
-from sagnode.geometry.camera import FloatArray, distort, projection_derivatives
+from sagnode.geometry.camera import FloatArray, distort, project, projection_derivatives
 from sagnode.geometry.conductor import conductor_points, gravity_direction, loaded_profile
-from sagnode.match.ribbon import SIDE_OFFSET_PX, normals, pooled_response
+from sagnode.match.bundle import lines
+from sagnode.match.ribbon import normals, pooled_response
 from sagnode.match.templates import View, even_parameters
 
 SEARCH_SAMPLES = 64
@@ -240,6 +241,8 @@ class _Family:
     """What the square of the sag adds to that (N,)."""
     turn: Grid
     """Direction of gravity as constant, by cosine and by sine of the swing (3, 3)."""
+    members: Grid
+    """Where a bundle's sub-conductors are in the picture, relative to the curve (m, N, 2), px; zero for a wire."""
 
     @classmethod
     def of(cls, view: View, sag_range: tuple[float, float], t: FloatArray) -> _Family:
@@ -252,7 +255,11 @@ class _Family:
         middle = 0.5 * (ahead + back)
         turn = np.stack([middle, 0.5 * (ahead - back), aside - middle]) @ view.pose.rotation.T
         chord = (view.near + t[:, None] * rise - view.pose.position) @ view.pose.rotation.T
-        parts = (chord, low - bend * ends[0] ** 2, bend, turn)
+        # the same for all curves of the family, to what little their depths differ
+        points = conductor_points(view.near, view.far, float(ends.mean()), 0.0, t, view.load)
+        moved, _ = project(view.intrinsics, view.pose, points + view.members[:, None, :])
+        members = np.nan_to_num(moved - project(view.intrinsics, view.pose, points)[0])
+        parts = (chord, low - bend * ends[0] ** 2, bend, turn, members)
         return cls(*(part.astype(np.float32) for part in parts))
 
     def points(self, part: NDArray[np.intp], sags: FloatArray, swings: FloatArray) -> list[Grid]:
@@ -293,15 +300,18 @@ def _sums(
     u, v, depth = _project(view, *family.points(padded, sags, swings))
     du, dv = _along(u)[inner], _along(v)[inner]
     shorten = 1 / np.sqrt(np.maximum(du * du + dv * dv, np.float32(1e-9)))
-    half = np.float32(0.5 * view.diameter * view.intrinsics.fx) / depth[inner] + np.float32(1.5)
+    nu, nv = -dv * shorten, du * shorten
+    width = np.float32(view.diameter * view.intrinsics.fx) / depth[inner]
+    lead = (slice(None), part, *(None,) * (u.ndim - 1))
+    place, side = lines(family.members[..., 0][lead] * nu + family.members[..., 1][lead] * nv, width)
     pool = np.minimum(spread, POOL_PX)
     band = BANDS[np.searchsorted(BAND_LIMITS_PX, float(pool.max()))]
     rows, shape = (len(part), -1), u.shape[1:]
     response, seen = pooled_response(
         image,
         (u[inner].reshape(rows), v[inner].reshape(rows)),
-        ((-dv * shorten).reshape(rows), (du * shorten).reshape(rows)),
-        np.maximum(half, np.float32(SIDE_OFFSET_PX)).reshape(rows),
+        (nu.reshape(rows), nv.reshape(rows)),
+        (place.reshape(len(place), *rows), side.reshape(len(side), *rows)),
         (np.array(band)[:, None] * pool).astype(np.float32),
     )
     if not seen.all():

@@ -7,7 +7,7 @@ departure from its parabola is added in space before projection, and distortion 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -32,16 +32,27 @@ class View:
     near: FloatArray
     far: FloatArray
     diameter: float
-    """Of the wire, or the outer width of the bundle, m."""
+    """Of one wire, m."""
     load: tuple[float, ...] = ()
     """Terms of an uneven load (:mod:`sagnode.geometry.conductor`); none for an even one."""
+    members: FloatArray = field(default_factory=lambda: np.zeros((1, 3)))
+    """Sub-conductors about the centre line (m, 3), m; a single wire is its own."""
 
     def pixels(self, sag: float, swing: float, t: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Pixels (N, 2) and depths (N,) of one curve; NaN where it is not ahead of the camera."""
         return project(self.intrinsics, self.pose, conductor_points(self.near, self.far, sag, swing, t, self.load))
 
+    def across(self, sag: float, swing: float, t: FloatArray, normal: FloatArray) -> FloatArray:
+        """Offsets (m, N) of the sub-conductors from the curve along its normals (N, 2), px."""
+        if len(self.members) == 1:
+            return np.zeros((1, len(t)))
+        points = conductor_points(self.near, self.far, sag, swing, t, self.load)
+        pixels, _ = project(self.intrinsics, self.pose, points)
+        moved, _ = project(self.intrinsics, self.pose, points + self.members[:, None, :])
+        return np.asarray(np.nan_to_num(np.sum((moved - pixels) * normal, axis=-1)))
+
     def width_px(self, depth: FloatArray) -> FloatArray:
-        """Projected width of the conductor, px, at depths (N,) m."""
+        """Projected width of one wire, px, at depths (N,) m."""
         with np.errstate(invalid="ignore", divide="ignore"):
             return np.asarray(np.where(depth > 1e-3, self.diameter * self.intrinsics.fx / depth, np.nan))
 

@@ -59,7 +59,7 @@ def sub_conductor_offsets(conductor: Conductor) -> FloatArray:
     layouts: dict[int, list[tuple[float, float]]] = {
         1: [(0.0, 0.0)],
         2: [(-half, 0.0), (half, 0.0)],
-        3: [(-half, -side / np.sqrt(12)), (half, -side / np.sqrt(12)), (0.0, side / np.sqrt(3))],
+        3: [(-half, side / np.sqrt(12)), (half, side / np.sqrt(12)), (0.0, -side / np.sqrt(3))],
         4: [(-half, -half), (half, -half), (-half, half), (half, half)],
     }
     return np.array(layouts[conductor.sub_conductors])
