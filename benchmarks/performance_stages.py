@@ -34,7 +34,7 @@ STAGES = (
     Stage("search", "sagnode.estimate.locate", "search", "locate"),
     Stage("refine", "sagnode.estimate.locate", "observe", "locate"),
     Stage("solve", "sagnode.estimate.locate", "solve", "locate"),
-    Stage("judge", "sagnode.pipeline", "judge"),
+    Stage("judge", "sagnode.estimate.tell", "judge"),
     Stage("tell", "sagnode.pipeline", "tell"),
 )
 """In the order of the way of a frame."""

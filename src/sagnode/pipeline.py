@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from sagnode.capture.port import GreyImage
 from sagnode.estimate.combine import combine_burst
 from sagnode.estimate.explain import explain
-from sagnode.estimate.judge import judge, look
+from sagnode.estimate.judge import look
 from sagnode.estimate.locate import locate
 from sagnode.estimate.register import register
 from sagnode.estimate.tell import refused, tell
@@ -48,11 +48,5 @@ def _measured(site: Site, image: GreyImage) -> list[FrameMeasurement]:
         return refused(site, reasons, registered)
     # match and refine, then solve: every conductor, known neighbours included
     located = locate(site, image, registered)
-    results = []
-    for conductor in site.conductors:
-        if conductor.measured:
-            found = located.get(conductor.id)
-            # judge: may it be told? tell: the numbers and how sure they are
-            validity, reasons = judge(site, conductor, found)
-            results.append(tell(site, conductor, registered, found, validity, reasons))
-    return results
+    # tell: the numbers and how sure they are, where the judgement lets them be told
+    return [tell(site, c, registered, located.get(c.id)) for c in site.conductors if c.measured]

@@ -26,6 +26,8 @@ VISIBLE_GOOD = 0.33
 """Shares of the span that must be seen for a questionable and for a good reading."""
 SAG_U_MAX = 0.04
 """Relative standard uncertainty of sag above which linear propagation no longer holds."""
+UNEVEN_SAG_U_MAX = 0.025
+"""The same under an uneven load, whose terms do not follow every load: beyond it their prior outweighs the wire."""
 PRIOR_Z_MAX = 5.0
 """Corrections to the survey beyond this many of its own standard uncertainties mean another wire or a wrong survey."""
 RIVAL_MAX = 0.8
@@ -57,14 +59,20 @@ def look(site: Site, image: GreyImage) -> list[Reason]:
     return []
 
 
-def judge(site: Site, conductor: SiteConductor, found: Matched | None) -> tuple[Validity, list[Reason]]:
+def judge(
+    site: Site, conductor: SiteConductor, found: Matched | None, estimates: dict[str, Estimate]
+) -> tuple[Validity, list[Reason]]:
     """Validity and reasons of one conductor's estimate; an invalid one carries no numbers."""
     if found is None:
         return Validity.INVALID, [Reason(Cause.NO_CONDUCTOR, "no curve of this conductor lies on anything like a wire")]
-    invalid = [*_not_a_wire(found), *_not_this_conductor(conductor, found), *_not_certain(found)]
+    invalid = [
+        *_not_a_wire(found),
+        *_not_this_conductor(conductor, found, estimates["inplane_sag"]),
+        *_not_certain(found, estimates["sag"]),
+    ]
     if invalid:
         return Validity.INVALID, invalid
-    doubtful = _doubts(site, found)
+    doubtful = [*_doubts(site, found), *_exceeded(site, estimates)]
     return (Validity.QUESTIONABLE, doubtful) if doubtful else (Validity.GOOD, [])
 
 
@@ -82,7 +90,7 @@ def _not_a_wire(found: Matched) -> list[Reason]:
     return []
 
 
-def _not_this_conductor(conductor: SiteConductor, found: Matched) -> list[Reason]:
+def _not_this_conductor(conductor: SiteConductor, found: Matched, sag: Estimate) -> list[Reason]:
     reasons = []
     if found.rival > RIVAL_MAX:
         text = f"another curve lies on a wire {100 * found.rival:.0f} % as clear; which one is meant?"
@@ -95,23 +103,22 @@ def _not_this_conductor(conductor: SiteConductor, found: Matched) -> list[Reason
         )
         reasons.append(Reason(Cause.AMBIGUOUS, text))
     low, high = conductor.survey.sag_range
-    sag, sag_u = found.sag
-    if not low - 2 * sag_u <= sag <= high + 2 * sag_u:
-        text = f"sag {sag:.2f} m is outside the possible {low:g} to {high:g} m of the survey"
+    if not low - 2 * sag.u <= sag.value <= high + 2 * sag.u:
+        text = f"sag {sag.value:.2f} m is outside the possible {low:g} to {high:g} m of the survey"
         reasons.append(Reason(Cause.OUTSIDE_LIMITS, text))
     return reasons
 
 
-def _not_certain(found: Matched) -> list[Reason]:
+def _not_certain(found: Matched, sag: Estimate) -> list[Reason]:
     reasons = []
     if not found.solution.converged:
         reasons.append(Reason(Cause.NOT_CONVERGED, "the joint estimate of camera and conductor did not settle"))
     if found.doubtful_load:
         text = "the wire hangs as under an uneven load, ice or a weight on a part of the span, that cannot be followed"
         reasons.append(Reason(Cause.ICE_SUSPECT, text))
-    sag, sag_u = found.sag
-    if sag_u > SAG_U_MAX * sag:
-        text = f"standard uncertainty of sag is {100 * sag_u / sag:.0f} % of it; the view or the survey is too weak"
+    share = sag.u / max(sag.value, 1e-9)
+    if share > (UNEVEN_SAG_U_MAX if found.survey.load_u else SAG_U_MAX):
+        text = f"standard uncertainty of sag is {100 * share:.1f} % of it; the view or the survey is too weak"
         reasons += [Reason(Cause.UNCERTAIN, text), *_ice(found)]
     return reasons
 
@@ -143,7 +150,7 @@ def _doubts(site: Site, found: Matched) -> list[Reason]:
     return reasons
 
 
-def exceeded(site: Site, estimates: dict[str, Estimate]) -> list[Reason]:
+def _exceeded(site: Site, estimates: dict[str, Estimate]) -> list[Reason]:
     """The configured limits of uncertainty that an estimate exceeds: told, but questionable."""
     reasons = []
     for stem, limit in (("sag", site.limits.sag_u_max_m), ("clearance", site.limits.clearance_u_max_m)):

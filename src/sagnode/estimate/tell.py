@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from sagnode.estimate.judge import exceeded
+from sagnode.estimate.judge import judge
 from sagnode.estimate.locate import Matched, on_curve, visible_share
 from sagnode.estimate.register import Registered
 from sagnode.geometry.camera import FloatArray, project
@@ -55,25 +55,23 @@ def tell(
     conductor: SiteConductor,
     registered: Registered,
     found: Matched | None,
-    validity: Validity,
-    reasons: list[Reason],
 ) -> FrameMeasurement:
     """The measurement of one conductor in one frame; without numbers where the judgement is invalid."""
     estimates: dict[str, Estimate] = {}
     budget: dict[str, dict[str, float]] = {}
-    if found is not None and validity is not Validity.INVALID:
+    if found is not None:
         estimates, budget = propagate(site, conductor, found)
-        beyond = exceeded(site, estimates)
-        if beyond:
-            validity, reasons = Validity.QUESTIONABLE, [*reasons, *beyond]
+    # judge: may it be told?
+    validity, reasons = judge(site, conductor, found, estimates)
+    told = validity is not Validity.INVALID
     return FrameMeasurement(
         conductor=conductor.id,
         phase=conductor.phase,
         validity=validity,
         reasons=tuple(reasons),
         method=site.method,
-        estimates=estimates,
-        budget=budget,
+        estimates=estimates if told else {},
+        budget=budget if told else {},
         visible_share=None if found is None else visible_share(found),
         match_score=None if found is None else found.sighting.score,
         pose_residual_px=registered.residual_px,

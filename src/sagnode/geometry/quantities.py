@@ -143,8 +143,10 @@ def quantities_of_many(
         "catenary_constant": constant,
     }
     if np.asarray(many.load).shape[-1]:
+        # H over which weight? an uneven load has no one weight per metre
+        del result["catenary_constant"]
         result["load_skew"] = np.asarray(many.load)[:, 0]
-    if unit_weight_n_m is not None:
+    elif unit_weight_n_m is not None:
         # the swung conductor hangs in apparent gravity w/cos(swing)
         result["tension"] = constant * unit_weight_n_m / np.cos(swings)
     return result

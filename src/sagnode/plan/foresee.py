@@ -16,7 +16,7 @@ import numpy as np
 
 from sagnode.config.span import Span
 from sagnode.estimate.joint import NOTHING_KNOWN, LandmarkObservations, solve_camera
-from sagnode.estimate.judge import exceeded, judge
+from sagnode.estimate.judge import judge
 from sagnode.estimate.locate import Matched, locate, visible_share
 from sagnode.estimate.register import Registered
 from sagnode.estimate.tell import propagate
@@ -129,14 +129,12 @@ def _foreseen(
     site: Site, conductor: SiteConductor, shape: Shape, found: Matched | None, curves: dict[str, FloatArray]
 ) -> Foreseen:
     design = quantities(shape, site.ground)
-    validity, reasons = judge(site, conductor, found)
     estimates: dict[str, Estimate] = {}
     budget: dict[str, dict[str, float]] = {}
     if found is not None:
         estimates, budget = propagate(site, conductor, found)
-        beyond = exceeded(site, estimates)
-        if validity is not Validity.INVALID and beyond:
-            validity, reasons = Validity.QUESTIONABLE, [*reasons, *beyond]
+    validity, reasons = judge(site, conductor, found, estimates)
+    if found is not None:
         sag = estimates["sag"]
         if validity is not Validity.INVALID and abs(sag.value - design["sag"]) > 5 * sag.u:
             text = f"in the expected frame another curve (sag {sag.value:.2f} m) passes for this conductor"
