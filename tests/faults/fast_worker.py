@@ -1,9 +1,10 @@
 """A worker that measures nothing and fails in every way there is: started by the real daemon in place of the real one.
 
 Its numbers are functions of a token (``coded.py``). It writes a ledger, a line for each thing that it does, with the
-monotonic time: ``G token`` before a good reply, ``F kind`` before a fault. Between two faults it gives one good reply.
+monotonic time: ``G token`` before a good reply, ``F kind`` before a fault. Between two faults it gives one good reply,
+unless it is to fail always.
 
-    fast_worker.py REQUESTS_FD REPLIES_FD LEDGER CONDUCTORS [KIND...]
+    fast_worker.py REQUESTS_FD REPLIES_FD LEDGER CONDUCTORS [always] [KIND...]
 """
 
 import json
@@ -18,7 +19,8 @@ requests = os.fdopen(int(sys.argv[1]), "rb")
 replies = int(sys.argv[2])
 ledger = os.open(sys.argv[3], os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o644)
 conductors = sys.argv[4].split(",")
-kinds = sys.argv[5:]
+always = sys.argv[5:6] == ["always"]
+kinds = sys.argv[6:] if always else sys.argv[5:]
 
 
 def note(text):
@@ -190,7 +192,7 @@ turn = int.from_bytes(os.urandom(2), "big")
 faulty = False
 for line in requests:
     asked = json.loads(line)
-    if faulty and kinds:
+    if (faulty or always) and kinds:
         turn += 1
         which = kinds[turn % len(kinds)]
         note(f"F {which}")

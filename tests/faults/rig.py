@@ -86,7 +86,7 @@ class Rig:
 
     def __init__(self, directory, kinds=(), *, virtual=True, direct=False, worker=None, sets=None, clock=False,
                  interval_s=0.1, deadline_s=5.0, more="", mqtt="", state_dir=None, span=None, broker_lines=(),
-                 runtime=False, manager=False, camera=None, names=False):  # fmt: skip
+                 runtime=False, manager=False, camera=None, names=False, always=False):  # fmt: skip
         self.directory = directory
         directory.mkdir(parents=True, exist_ok=True)
         self.state = Path(state_dir) if state_dir else directory / "state"
@@ -106,7 +106,7 @@ class Rig:
         self._words = {
             "worker": worker
             or [sys.executable, "-S", "-E", str(HERE / "fast_worker.py"), "{requests}", "{replies}", str(self.ledger),
-                ",".join(CONDUCTORS), *kinds],
+                ",".join(CONDUCTORS), *(["always"] if always else []), *kinds],
             "set": {"daemon.link.BACKOFF_MAX_S": 1.0, **(sets or {})},
             **({"clock": str(self.clock)} if clock else {}),
             **({"names": str(directory / "names")} if names else {}),

@@ -24,7 +24,7 @@ def run(campaign):
     with Rig(campaign.fresh("backlog"), virtual=False, interval_s=1.0, direct=True) as rig:
         rig.state.mkdir()
         fill(rig.state / "journal.sqlite", count)
-        arrivals = Arrivals(rig.subscriber)
+        arrivals = Arrivals(rig.subscriber, count)
         began = time.monotonic()
         rig.start()
         rig.wait_for(lambda: arrivals.backfill, 60)
@@ -73,7 +73,8 @@ def coded_reading(number, at):
 class Arrivals:
     """Counts what arrives without keeping it all."""
 
-    def __init__(self, subscriber):
+    def __init__(self, subscriber, old):
+        self._old = old
         self.seen = set()
         self.backfill = self.repeated = self.false = 0
         self.fresh_s = []
@@ -91,7 +92,6 @@ class Arrivals:
                 return
         reading = json.loads(message.payload)
         self.false += not Rig.is_true(reading)
-        if not reading["backfill"] and not message.retain:
+        if sequence > self._old:
             age = datetime.now(UTC) - datetime.fromisoformat(reading["acquired_at"])
-            if age < timedelta(days=1):  # not the newest of the old ones
-                self.fresh_s.append(age.total_seconds())
+            self.fresh_s.append(age.total_seconds())

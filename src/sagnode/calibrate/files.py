@@ -239,7 +239,8 @@ class _Keys:
 
 def _product(rows: object, cols: object) -> int:
     flat = _flatten([rows, cols])
-    return int(flat[0] * flat[1]) if flat and all(math.isfinite(x) for x in flat) else -1
+    product = flat[0] * flat[1] if flat is not None and len(flat) == 2 else math.nan
+    return int(product) if math.isfinite(product) else -1
 
 
 def _flatten(value: object) -> list[float] | None:

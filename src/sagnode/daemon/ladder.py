@@ -179,5 +179,5 @@ def _read(path: Path) -> _Memory:
     try:
         kept = json.loads(path.read_text(encoding="utf-8"))
         return _Memory(str(kept["boot_id"]), max(0, int(kept["restarts"])), max(0, int(kept["reboots"])))
-    except (OSError, ValueError, KeyError, TypeError):
+    except (OSError, ValueError, KeyError, TypeError, OverflowError, RecursionError):
         return _Memory()

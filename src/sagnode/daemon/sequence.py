@@ -10,11 +10,14 @@ too early may have forgotten the last readings, and nothing in the file tells.
 from __future__ import annotations
 
 import contextlib
+import zlib
 from pathlib import Path
 
 from sagnode.daemon.files import write_atomic
 
 BLOCK = 1000
+_GREATEST = 2**53
+"""The greatest whole number that every reader of JSON knows exactly."""
 
 
 class Ceiling:
@@ -38,7 +41,7 @@ class Ceiling:
         if number > self.value:
             value = -(-number // BLOCK) * BLOCK
             for path in self._paths:
-                write_atomic(path, f"{value}\n")
+                write_atomic(path, f"{value} {_check(value)}\n")
             self.value = value
 
     def next_after(self, newest: int | None, *, trusted: bool) -> int:
@@ -84,6 +87,14 @@ class Marks:
 
 def _read(path: Path) -> int:
     try:
-        return max(0, int(path.read_text(encoding="ascii")))
+        value, *check = path.read_text(encoding="ascii").split()
+        number = int(value)
     except (OSError, ValueError):
         return 0
+    # A digit that flips would let the count leap, or go back; a file without its checksum is refused the leap alone.
+    sound = check == [_check(number)] if check else True
+    return number if sound and 0 <= number <= _GREATEST else 0
+
+
+def _check(value: int) -> str:
+    return f"{zlib.crc32(str(value).encode()):08x}"

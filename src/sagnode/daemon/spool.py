@@ -73,6 +73,6 @@ def _burst(line: bytes) -> list[ReadingHeader]:
         return []
     try:
         return [Reading.model_validate_json(reading) for reading in json.loads(text)]
-    except (ValidationError, ValueError, TypeError):  # written by another version
+    except (ValidationError, ValueError, TypeError, RecursionError):  # written by another version
         log.error("a burst in the spool is not understood; passed over")
         return []

@@ -18,7 +18,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from sagnode.daemon.files import write_atomic
 from sagnode.daemon.journal import Journal
 from sagnode.daemon.sequence import BLOCK, Ceiling
 from sagnode.errors import DiskError, JournalError, SagnodeError
@@ -134,7 +133,7 @@ class Stores:
                 # The true count cannot be moved on now. A random leap, for two such times must not meet either.
                 known = Ceiling(self.state_dir / "sequence").value
                 leap = random.randrange(1, _JUMP_MAX) * _JUMP_MAX  # noqa: S311 - not for secrecy
-                write_atomic(directory / "sequence", f"{-(-known // BLOCK) * BLOCK + leap}\n", durable=False)
+                Ceiling(directory / "sequence").cover(-(-known // BLOCK) * BLOCK + leap)
             journal = Journal(directory / JOURNAL)
         except OSError as error:
             raise SagnodeError(f"{directory}: {error.strerror}", "free memory, or mend the state directory") from error
