@@ -14,11 +14,11 @@ UNWRITTEN = 50
 
 
 def run(campaign):
-    yield from cut(campaign, campaign.count(60))
-    yield from broken_links(campaign, campaign.count(16))
-    yield stopped(campaign, campaign.count(12))
-    yield killed(campaign, campaign.count(30), store=False)
-    yield killed(campaign, campaign.count(30), store=True)
+    yield from cut(campaign, campaign.count(25))
+    yield from broken_links(campaign, campaign.count(5))
+    yield stopped(campaign, campaign.count(5))
+    yield killed(campaign, campaign.count(10), store=False)
+    yield killed(campaign, campaign.count(10), store=True)
     yield patient(campaign)
     yield name_not_found(campaign)
 

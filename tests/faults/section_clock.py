@@ -20,7 +20,7 @@ INTERVAL_S = 0.1
 
 def run(campaign):
     for title, offsets in STEPS.items():
-        steps = campaign.count(160)
+        steps = campaign.count(60)
         with Rig(campaign.fresh("clock"), virtual=False, interval_s=INTERVAL_S, clock=True) as rig:
             rig.start()
             rig.wait_good(3)

@@ -34,8 +34,8 @@ from sagnode.errors import SagnodeError
 from sagnode.message import Identity
 from sagnode.worker.protocol import MeasureReply, WorkerLine
 
-COUNTS = {"node file": 16_000, "span file": 12_000, "calibration file": 12_000, "picture": 16_000,
-          "worker's line": 40_000, "spool, count and memory files": 10_000}  # fmt: skip
+COUNTS = {"node file": 8_000, "span file": 10_000, "calibration file": 20_000, "picture": 25_000,
+          "worker's line": 40_000, "spool, count and memory files": 6_000}  # fmt: skip
 SLOW_S = 10.0
 _NASTY = (
     b"-1", b"0", b"1e999", b"-1e308", b"nan", b"inf", b"9" * 400, b"0x7fffffff", b"true", b"''", b'""', b"[]", b"{}",

@@ -20,7 +20,7 @@ from sagnode.daemon.journal import Journal
 from sagnode.daemon.journal_file import checksum
 from sagnode.daemon.sequence import BLOCK
 
-COUNT = 2000
+COUNT = 600
 READINGS = 120
 
 

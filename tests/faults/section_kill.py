@@ -7,7 +7,7 @@ import time
 from rig import Rig
 from table import Line
 
-DAEMON_KILLS = 260
+DAEMON_KILLS = 150
 WORKER_KILLS = 400
 
 
@@ -28,7 +28,7 @@ def of_the_daemon(campaign, kills):
             killed = time.monotonic()
             rig.start()
             if campaign.random.random() < 0.8:
-                rig.wait_for(lambda at=killed: any(t > at and what == "G" for t, what, _ in rig.entries()[-50:]), 60)
+                rig.wait_for(lambda at=killed: any(t > at and what == "G" for t, what, _ in rig.entries(tail=2000)), 60)
                 recovery.append(time.monotonic() - killed)
             else:
                 time.sleep(campaign.random.uniform(0, 1.0))
@@ -61,7 +61,7 @@ def of_the_worker(campaign, wanted):
                     continue
                 kills += 1
                 killed = time.monotonic()
-                rig.wait_for(lambda at=killed: any(t > at and what == "G" for t, what, _ in rig.entries()[-50:]), 60)
+                rig.wait_for(lambda at=killed: any(t > at and what == "G" for t, what, _ in rig.entries(tail=2000)), 60)
                 recovery.append(time.monotonic() - killed)
         rig.last_run()
         books = rig.books()

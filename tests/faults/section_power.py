@@ -19,7 +19,7 @@ from volatile_disk import run as command
 
 from sagnode.daemon.journal import Journal
 
-CUTS = 300
+CUTS = 150
 MEGABYTES = 12
 
 

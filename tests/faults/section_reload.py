@@ -17,10 +17,10 @@ BAD = (
 
 
 def run(campaign):
-    yield refused(campaign, campaign.count(160))
-    yield accepted(campaign, campaign.count(12))
-    yield stopped(campaign, campaign.count(20))
-    yield climbed(campaign, campaign.count(8))
+    yield refused(campaign, campaign.count(100))
+    yield accepted(campaign, campaign.count(6))
+    yield stopped(campaign, campaign.count(10))
+    yield climbed(campaign, campaign.count(3))
 
 
 def refused(campaign, times):

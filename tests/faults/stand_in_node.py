@@ -7,6 +7,7 @@ stand_in_node.py CONFIG WORDS      WORDS: JSON; worker: the worker's command lin
 
 import faulthandler
 import json
+import os
 import socket
 import sys
 from datetime import UTC, datetime, timedelta
@@ -23,7 +24,12 @@ words = json.loads(sys.argv[2])
 
 def stand_in(config):
     def build(requests_fd, replies_fd, resume_after):
-        places = {"{requests}": str(requests_fd), "{replies}": str(replies_fd), "{config}": str(config)}
+        places = {
+            "{requests}": str(requests_fd),
+            "{replies}": str(replies_fd),
+            "{config}": str(config),
+            "{parent}": str(os.getpid()),
+        }
         return [places.get(word, word) for word in words["worker"]]
 
     return build

@@ -91,6 +91,7 @@ class Session:
         self._refusal = ""
         self._readings: dict[int, int] = {}  # message id to sequence number
         self._papers: dict[int, str] = {}  # message id to topic of a document
+        self._heads: dict[int, float] = {}  # oldest message without an acknowledgement, and since when it is that
         self._last_answer = time.monotonic()
         self._journal_again_at = 0.0
         self._complaints = Seldom(log)
@@ -125,9 +126,19 @@ class Session:
                 self._say_goodbye(farewell)
                 return
             self._turn(min(self._outbox.wait_s(), 0.1 if farewell or self._outbox.unwritten else 1.0))
-            if (self._readings or self._papers) and time.monotonic() - self._last_answer > PUBACK_WAIT_S:
+            if self._head_waits_s() > PUBACK_WAIT_S:
                 text = f"{self._broker.address}: no acknowledgement for {PUBACK_WAIT_S:g} s"
                 raise LinkLostError(text, by_broker=False)
+
+    def _head_waits_s(self) -> float:
+        """Since when the same message has been the oldest without an acknowledgement.
+
+        They come in the order of the messages (MQTT 5.0, 4.6); one that is passed over would block its place for ever.
+        """
+        now = time.monotonic()
+        heads = (next(iter(self._readings), None), next(iter(self._papers), None))
+        self._heads = {mid: self._heads.get(mid, now) for mid in heads if mid is not None}
+        return now - min(self._heads.values(), default=now)
 
     def _turn(self, timeout_s: float) -> None:
         """Wait for the network or for news, and let paho do its part."""
@@ -184,8 +195,6 @@ class Session:
             if self._outbox.unwritten >= 50 or self._outbox.on_the_wire == 0 or self._quiet():
                 self._outbox.settle()
             for outgoing in self._outbox.take():
-                if not self._readings:
-                    self._last_answer = time.monotonic()
                 info = self._client.publish(
                     f"{self._terms.prefix}/measurement/{outgoing.conductor}",
                     outgoing.payload,
@@ -218,13 +227,9 @@ class Session:
                 content_type=note.content_type, correlation=note.correlation, about=note.about
             )
             full = f"{self._terms.prefix}/{note.topic}"
-            if not self._papers:
-                self._last_answer = time.monotonic()
             self._papers[self._client.publish(full, note.payload, qos=1, properties=properties).mid] = note.topic
 
     def _show(self, topic: str, payload: bytes, expiry_s: float | None = None) -> None:
-        if not self._papers:
-            self._last_answer = time.monotonic()
         properties = self._broker.properties(expiry_s=expiry_s)
         full = f"{self._terms.prefix}/{topic}"
         self._papers[self._client.publish(full, payload, qos=1, retain=True, properties=properties).mid] = topic
