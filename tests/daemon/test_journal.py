@@ -20,7 +20,7 @@ from sagnode.daemon import sequence as sequence_module
 from sagnode.daemon.journal import Journal
 from sagnode.daemon.journal_file import SCHEMA_VERSION
 from sagnode.daemon.wal import lost_frames
-from sagnode.errors import JournalError
+from sagnode.errors import DiskError, JournalError
 
 NOW = datetime(2026, 7, 1, tzinfo=UTC)
 
@@ -365,3 +365,49 @@ def test_size_takes_what_is_owed_last_and_says_so(path):
     assert journal.next_sequence == 1201
     journal.close()
     assert Journal(path).next_sequence == 1201
+
+
+def test_after_a_power_cut_numbers_leave_a_gap_and_after_a_kill_they_do_not(path):
+    journal = Journal(path, "boot-1")
+    fill(journal, 2, ("L1",))
+    del journal  # killed: nothing is folded, no mark is taken away
+    journal = Journal(path, "boot-1")
+    assert journal.next_sequence == 3
+    journal = Journal(path, "boot-2")
+    assert journal.next_sequence > 1000
+    fill(journal, 1, ("L1",))
+    following = journal.next_sequence
+    journal.close()
+    assert Journal(path, "boot-3").next_sequence == following  # an orderly end of the boot before
+
+
+def test_a_count_with_a_flipped_digit_is_not_believed(path):
+    journal = Journal(path)
+    fill(journal, 1, ("L1",))
+    journal.close()
+    for name in ("sequence", "sequence.copy"):
+        file = path.with_name(name)
+        file.write_text(file.read_text().replace("1000 ", "91000 "))
+    assert Journal(path).next_sequence == 2
+
+
+def test_readings_behind_a_damaged_page_are_found_by_their_bytes(path):
+    journal = Journal(path)
+    fill(journal, 100, ("L1", "L2"))
+    journal.mark_delivered(range(1, 50), datetime.now(UTC))
+    journal.close()
+    data = bytearray(path.read_bytes())
+    root = next(start for start in range(4096, len(data), 4096) if data[start] == 5)  # the table's only inner page
+    data[root : root + 4096] = bytes(4096)
+    path.write_bytes(data)
+    journal = Journal(path)
+    assert journal.backlog().depth == 200 - 49
+    assert [row.sequence for row in journal.pending(0, 500)] == list(range(50, 201))
+
+
+def test_another_disk_at_the_same_place_is_not_counted_on(path, monkeypatch):
+    journal = Journal(path)
+    fill(journal, 1, ("L1",))
+    journal._suspect, journal._device = True, -1
+    with pytest.raises(DiskError, match="another disk"):
+        fill(journal, 1, ("L1",))
