@@ -8,10 +8,11 @@ fail() {
 	printf 'FAIL  %s\n' "$*"
 	exit 1
 }
-# Everything on the disk but caches, logs and what apt and dpkg keep for themselves.
+# Everything on the disk but caches, logs, what apt and dpkg keep for themselves, and the backups of the user database.
 listing() {
 	find / -xdev \( -path /proc -o -path /sys -o -path /dev -o -path /run -o -path /tmp -o -path /packages -o -path /var/cache \
-		-o -path /var/lib/apt -o -path /var/lib/dpkg -o -path /var/log -o -path /etc/ld.so.cache -o -path /root -o -path /home \) -prune -o -print |
+		-o -path /var/lib/apt -o -path /var/lib/dpkg -o -path /var/log -o -path '/etc/*-' \
+		-o -path /etc/ld.so.cache -o -path /root -o -path /home \) -prune -o -print |
 		LC_ALL=C sort
 }
 
