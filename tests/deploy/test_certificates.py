@@ -1,6 +1,7 @@
 """deploy/certificates: the way of a key and its certificate, and every way of getting it wrong."""
 
 import os
+import re
 import shutil
 import stat
 import subprocess
@@ -65,7 +66,7 @@ def test_the_authority_decides_on_the_name(ca, tmp_path):
         "-addext", "subjectAltName=DNS:broker.example.org")  # fmt: skip
     crt = ran(CA, ca, "sign", UNIT, csr).stdout.strip()
     text = ran("openssl", "x509", "-in", crt, "-noout", "-text").stdout
-    assert f"Subject: CN = {UNIT}" in text
+    assert re.search(f"Subject: CN ?= ?{re.escape(UNIT)}\n", text)  # OpenSSL 3.0 writes spaces, 3.5 none
     assert "CA:FALSE" in text and "CA:TRUE" not in text
     assert "broker.example.org" not in text
 
