@@ -34,8 +34,8 @@ STAGES = (
     Stage("search", "sagnode.estimate.locate", "search", "locate"),
     Stage("refine", "sagnode.estimate.locate", "observe", "locate"),
     Stage("solve", "sagnode.estimate.locate", "solve", "locate"),
-    Stage("judge", "sagnode.estimate.tell", "judge"),
     Stage("tell", "sagnode.pipeline", "tell"),
+    Stage("judge", "sagnode.estimate.tell", "judge", "tell"),
 )
 """In the order of the way of a frame."""
 
