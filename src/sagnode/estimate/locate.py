@@ -81,6 +81,8 @@ RIVAL_MIN_PX = 16
 RIVAL_WORTH_A_LOOK = 0.6
 OUTDONE = 0.83
 """Share of the response of a refined curve below which a candidate's score promises nothing that comes near it."""
+RIVAL_SHOWN = 0.75
+"""Share of a bundle's response that must show a spacing aside for that to be refined and compared."""
 RIVAL_RESPONSE = 2.0
 """Mean response, in grey levels, below which a stretch of curve is taken to lie on nothing."""
 
@@ -253,7 +255,7 @@ def _find_even(image: GreyImage, conductor: SiteConductor, survey: Survey, regis
     starts = [results[0].solution.theta, *_along_the_valley(image, results[0], conductor)]
     starts += [r.solution.theta for r in results[1:] if _rivalry(image, results[0], r) > RIVAL_WORTH_A_LOOK]
     refined = [_refine(image, conductor, survey, registered, start, [], STAGES[1:]) for start in starts]
-    aside = _a_spacing_aside(results[0], conductor)
+    aside = _a_spacing_aside(image, results[0], conductor)
     refined += [_refine(image, conductor, survey, registered, start, [], STAGES) for start in aside]
     finals = sorted(filter(None, refined), key=_merit, reverse=True)
     if not finals:
@@ -316,11 +318,11 @@ def _along_the_valley(image: GreyImage, found: Matched, conductor: SiteConductor
     return starts
 
 
-def _a_spacing_aside(found: Matched, conductor: SiteConductor) -> list[FloatArray]:
+def _a_spacing_aside(image: GreyImage, found: Matched, conductor: SiteConductor) -> list[FloatArray]:
     """Starts θ (24,) at which the sub-conductors of a bundle would lie where others of it seem to be.
 
     A pattern that lies a spacing off covers a part of the bundle and looks like half an answer; against the right one
-    it must lose. None for a single wire.
+    it must lose. Only those come back near which the picture shows about as much; none for a single wire.
     """
     theta = found.solution.theta
     starts: list[FloatArray] = []
@@ -334,8 +336,22 @@ def _a_spacing_aside(found: Matched, conductor: SiteConductor) -> list[FloatArra
             start = theta.copy()
             start[SAG] += sag
             start[SWING] += swing
-            starts.append(start)
+            if _shown_near(image, _view(found.survey, conductor, start), start) > RIVAL_SHOWN * found.response:
+                starts.append(start)
     return starts
+
+
+def _shown_near(image: GreyImage, view: View, theta: FloatArray) -> float:
+    """Greatest mean response of a curve moved across by a few pixels, grey levels."""
+    curve = trace(view, float(theta[SAG]), float(theta[SWING]))
+    if curve is None:
+        return 0.0
+    some = mixed_samples(curve, SAMPLES)
+    place, side = lines(curve.members[:, some], curve.width[some])
+    moved = curve.pixels[some] + np.arange(-6.0, 7.0)[:, None, None] * curve.normal[some]
+    response = line_response(image, moved, curve.normal[some], place, side)
+    seen = np.isfinite(response)
+    return float(np.max(np.where(seen, response, 0.0).sum(axis=1) / np.maximum(seen.sum(axis=1), 1)))
 
 
 def _merit(matched: Matched) -> float:
