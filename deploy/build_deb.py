@@ -57,6 +57,9 @@ def _add_files(tree: Path, suite: Suite, number: str) -> None:
     command = tree / "usr/bin/sagnode"
     command.parent.mkdir(parents=True)
     command.symlink_to("../lib/sagnode/venv/bin/sagnode")
+    enrol = tree / "usr/sbin/sagnode-enrol"
+    enrol.parent.mkdir(parents=True)
+    shutil.copy(HERE / "certificates" / "sagnode-enrol", enrol)
     doc = tree / "usr/share/doc/sagnode"
     (doc / "examples").mkdir(parents=True)
     for template in ("node.toml", "span.toml"):
@@ -104,7 +107,7 @@ def _settle(tree: Path) -> None:
     epoch = int(_epoch())
     for path in [*tree.rglob("*"), tree]:
         if not path.is_symlink():
-            runs = path.is_dir() or path.parent.name == "bin" or path.name in SCRIPTS
+            runs = path.is_dir() or path.parent.name in {"bin", "sbin"} or path.name in SCRIPTS
             path.chmod(0o755 if runs else 0o644)
         os.utime(path, (epoch, epoch), follow_symlinks=False)
 

@@ -188,3 +188,17 @@ def test_wrong_words_are_answered_with_the_usage(tmp_path, words):
         assert result.returncode in (1, 2) and ("request" in result.stderr or "holds no authority" in result.stderr), (
             result
         )
+
+
+def test_the_package_brings_the_script_ready_to_run(tmp_path):
+    """The parts of deploy/build_deb.py that need no network."""
+    code = (
+        "import sys; sys.path.insert(0, 'deploy'); import build_deb, pathlib, targets\n"
+        f"tree = pathlib.Path({str(tmp_path)!r}) / 'tree'; tree.mkdir()\n"
+        "build_deb._add_files(tree, next(iter(targets.SUITES.values())), '0'); build_deb._settle(tree)"
+    )
+    subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=True)
+    installed = tmp_path / "tree" / "usr" / "sbin" / "sagnode-enrol"
+    assert installed.read_bytes() == ENROL.read_bytes()
+    assert mode(installed) == "rwxr-xr-x"
+    assert "Recommends: openssl" in (ROOT / "deploy/debian/control").read_text()

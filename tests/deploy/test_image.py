@@ -24,7 +24,6 @@ def hooked(tmp_path):
 
 
 def test_the_hooks_do_what_they_say(hooked):
-    assert os.access(hooked / "usr/sbin/sagnode-enrol", os.X_OK)
     assert "Storage=volatile" in (hooked / "etc/systemd/journald.conf.d/sagnode.conf").read_text().splitlines()
     watchdog = (hooked / "etc/systemd/system.conf.d/sagnode.conf").read_text().splitlines()
     assert watchdog[:2] == ["[Manager]", "RuntimeWatchdogSec=15s"]  # the processor's longest
