@@ -251,8 +251,9 @@ def _table_8(m: Measured) -> str:
             lines.append(f"- {lens}, {method}: {_undoing(off, on)}.")
     lines += [
         "",
-        flow("""At mid-span a frontal camera looks along its axis, where any lens is straight: there the ends of the
-            template are wrong and its middle is not. The claim is one about where in the picture one measures."""),
+        flow("""Both cameras look at mid-span along their axes, where any lens is straight: the ends of the template are
+            wrong there and its middle is not. The claim is one about where in the picture one measures; sagnode fits
+            the whole curve, and so feels the lens."""),
         "",
     ]
     return "\n".join(lines)

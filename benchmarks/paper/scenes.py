@@ -73,7 +73,7 @@ def lab_trials(
     for number in range(count):
         if scene is None or (errors and not same):
             scene = _scene(view, int(rng.integers(1, 2**31)), errors, lens)
-            survey = _surveyed(scene, lens or preset(view)[1], folder, f"{view}-{seed}-{number}")
+            survey = _surveyed(scene, lens or preset(view)[1], folder, f"{view}-{seed}-{errors:g}-{number}")
         if not states or not same:
             sag = float(rng.uniform(*LAB_SAGS_M))
             states = {"left": WireState(sag), "upper": WireState(float(np.clip(sag + rng.normal(0, 0.03), 0.12, 0.45)))}
@@ -95,7 +95,7 @@ def field_trials(count: int, folder: Path, *, errors: float = 0.0, width: int = 
     lens = _scaled(preset("field")[1], width) if width else preset("field")[1]
     for number in range(count):
         scene = _scene("field", int(rng.integers(1, 2**31)), errors, lens)
-        survey = _surveyed(scene, lens, folder, f"field-{width}-{number}")
+        survey = _surveyed(scene, lens, folder, f"field-{width}-{seed}-{number}")
         swing = float(rng.normal(0, FIELD_SWING_U_DEG))
         states = {c.id: WireState(FIELD_SAG_M, swing) for c in scene.true.conductors}
         # "overcast sky with diffuse lighting"
