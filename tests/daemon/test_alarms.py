@@ -256,7 +256,7 @@ def test_the_file_is_not_written_for_every_reading(tmp_path, bench):
     assert (tmp_path / ALARMS_FILE).read_text() == written
 
 
-@settings(max_examples=40)
+@settings(max_examples=40, deadline=None)
 @given(st.floats(-1e308, 1e308), st.floats(0, 1e308))
 def test_no_number_of_a_mad_worker_ends_it(value, u):
     with tempfile.TemporaryDirectory() as directory:

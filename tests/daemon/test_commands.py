@@ -3,7 +3,7 @@
 import json
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from readings import START
 
@@ -75,6 +75,7 @@ def test_a_refusal_too_bears_the_correlation_of_its_payload_where_there_is_one(a
     assert [r.correlation for r in asker.replies] == ["8", None]
 
 
+@settings(deadline=None)
 @given(st.binary(max_size=300))
 def test_no_bytes_do_harm(payload):
     asker = Asker()

@@ -4,7 +4,7 @@ from importlib.resources import files
 from pathlib import Path
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sagnode.config.load import load_span
@@ -31,6 +31,7 @@ def test_without_stringing_data_a_jump_is_forgiven_more_and_not_less():
     assert bare.kelvin_per_m(8.0) > 0.7 * known.kelvin_per_m(8.0)
 
 
+@settings(deadline=None)
 @given(st.floats(20, 600), st.floats(0.005, 0.12), st.floats(-0.3, 0.3))
 def test_the_slope_is_the_derivative_and_positive(span, ratio, slope):
     scale = HeatScale(span, slope * span)

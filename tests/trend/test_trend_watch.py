@@ -6,7 +6,7 @@ from importlib.resources import files
 from pathlib import Path
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sagnode.config.load import load_span
@@ -177,6 +177,7 @@ def test_refused_and_doubtful_readings_are_no_past_either():
     assert marked(trend.judge([invalid("L1", 4)])) == []
 
 
+@settings(deadline=None)
 @given(st.floats(-1e308, 1e308), st.floats(0, 1e308), st.floats(-1e308, 1e308))
 def test_no_number_of_a_mad_worker_ends_the_watch(sag, u, swing):
     trend = watch(("L1",))
