@@ -67,7 +67,7 @@ APART_ODDS = -6.0
 Seen along the line, a swung even span and an unswung uneven one can look alike over the part that is clear. What the
 picture does not decide, the wider uncertainty of the uneven load must carry.
 """
-UNEVENNESS, DOUBTFUL = 4.5, 6.0
+UNEVENNESS, DOUBTFUL = 4.5, 9.0
 """Misfit that an uneven load would take off, from which it is tried, and from which an even one is not believed: evenly
 loaded wires rarely exceed 3."""
 SWING_APART = (np.radians(1.0), 0.15, 3.0)

@@ -215,7 +215,9 @@ def _profiles(
 
     What lies beyond ``narrow`` steps only serves comparison, and is sampled more sparsely along long blocks.
     """
-    every = max(1, len(pixels) // len(starts) // BESIDE_SAMPLES)
+    # no fewer than one sample a block, the shortest included
+    shortest = int(np.diff(np.append(starts, len(pixels))).min())
+    every = max(1, min(shortest, len(pixels) // len(starts) // BESIDE_SAMPLES))
     if wide == narrow or every == 1:
         return _block_means(straighten(image, pixels, normal, STEP_PX * _steps(wide)), starts)
     some = slice(None, None, every)
