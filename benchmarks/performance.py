@@ -77,6 +77,7 @@ def _store(part: str, plan: performance_plan.Plan, results: dict[str, Any]) -> N
         "version": _version(),
         "machine": _machine(),
         "thorough": plan.thorough,
+        "load": os.getloadavg()[0],
     }
     text = json.dumps(about | {"results": results}, indent=1)
     (WORK / f"{part}.json").write_text(text + "\n", encoding="utf-8")

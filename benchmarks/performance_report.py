@@ -50,16 +50,18 @@ def _head(parts: dict[str, Part]) -> str:
             """Written by `python benchmarks/performance.py`; do not edit. Times are CPU seconds of one thread, the
             least of the rounds, unless wall time is said; ratios are between methods on the same picture in the
             same process of the same run. No Raspberry Pi was at hand: its cores take two to four times as long (an
-            estimate, not measured), for all methods alike."""
+            estimate, not measured), for all methods alike. Where other programs shared the machine (a load beyond its
+            processors) single times scatter: look at ratios, and measure again."""
         ),
         "",
-        "| part | measured | version | how long | machine |",
-        "|---|---|---|---|---|",
+        "| part | measured | version | how long | load | machine |",
+        "|---|---|---|---|---|---|",
     ]
     for name, part in parts.items():
         machine = part["machine"]
         words = f"{machine['processor']}, Python {machine['python']}, NumPy {machine['numpy']}"
         words += f", OpenCV {machine['opencv']}"
+        load = f"{part['load']:.0f}" if "load" in part else "not noted"
         kind = "thorough" if part["thorough"] else "quick"
-        lines.append(f"| {name} | {part['measured_at']} | {part['version']} | {kind} | {words} |")
+        lines.append(f"| {name} | {part['measured_at']} | {part['version']} | {kind} | {load} | {words} |")
     return "\n".join(lines)

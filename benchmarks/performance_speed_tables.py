@@ -151,8 +151,8 @@ def stages_section(cases: Cases) -> str:
         "## Where a reading's time goes",
         "",
         flow(
-            """All conductors of the site in one frame; CPU ms by stage, parts indented. `observe` measures the wire
-            across the curve, `solve` is the joint estimate."""
+            """All conductors of the site in one frame; CPU ms by stage, parts indented. "refine" measures the wire
+            across the curve, "solve" is the joint estimate."""
         ),
         "",
         "| stage | " + " | ".join(VIEWS[v] for v in NAMES) + " |",
