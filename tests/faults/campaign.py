@@ -83,7 +83,7 @@ def main():
             traceback.print_exc()
             skipped[name] = "broke down"
             continue
-        save(RESULTS / f"{name}.json", lines, time.monotonic() - began, args.seed)
+        save(RESULTS / f"{name}.json", lines, time.monotonic() - began, args.seed, args.share)
         print(markdown(lines), flush=True)
         for line in lines:
             for sentence in line.verdict():

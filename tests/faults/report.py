@@ -43,7 +43,8 @@ def conclude(names, results, args, skipped):
         seconds += found[1]
         seeds.add(found[2])
         broken += [sentence for line in found[0] for sentence in line.verdict()]
-        parts.append(f"{name} {found[1]:.0f} s")
+        part = f", {found[3]:.0%} of its faults" if found[3] != 1.0 else ""
+        parts.append(f"{name} {found[1]:.0f} s{part}")
     for name, why in skipped.items():
         print(f"NOT IN THE TABLE: {name}: {why}")
     print(markdown(lines))
@@ -53,7 +54,7 @@ def conclude(names, results, args, skipped):
         from datetime import UTC, datetime
 
         text = INTRODUCTION.format(seed=", ".join(map(str, sorted(seeds))))
-        text += f"\n{markdown(lines)}\n\n" + f"Time: {seconds / 60:.0f} minutes ({', '.join(parts)}).\n"
+        text += f"\n{markdown(lines)}\n\n" + f"Time: {seconds / 60:.0f} minutes ({'; '.join(parts)}).\n"
         text += "".join(f"\nNot run here: {name}, {why}.\n" for name, why in skipped.items())
         text += "".join(f"\n**Not kept:** {sentence}.\n" for sentence in broken)
         text += NOTES.format(

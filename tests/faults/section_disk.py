@@ -106,10 +106,11 @@ def run_errors(campaign, times):
             rig.wait_good(2)
             for _ in range(times):
                 disk.failing = True
-                time.sleep(campaign.random.uniform(0.3, 2.0))
+                # the kernel makes it read-only, and the node leaves it
+                rig.wait_for(lambda: (p := rig.page()) and "in memory" in p["health"]["journal"], 90)
+                rig.wait_good(1)
                 disk.failing = False
-                # the kernel has made it read-only meanwhile; somebody repairs and mounts it again
-                command("umount", "-l", disk.place)
+                disk.unmount()  # somebody repairs it and mounts it again
                 time.sleep(campaign.random.uniform(0.0, 1.0))
                 subprocess.run(["fsck.ext4", "-p", disk.device], check=False, capture_output=True)
                 disk.mount()

@@ -58,18 +58,22 @@ class Line:
         return [self.fault, *(str(n) for n in counts), median, greatest, self.remark]
 
 
-def save(path, lines, seconds, seed):
+def save(path, lines, seconds, seed, share):
     """Keep a section's lines, so that the others can be run at another time."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(json.dumps({"seconds": seconds, "seed": seed, "lines": [asdict(line) for line in lines]}, indent=1))
+    path.write_text(
+        json.dumps(
+            {"seconds": seconds, "seed": seed, "share": share, "lines": [asdict(line) for line in lines]}, indent=1
+        )
+    )
 
 
 def load(path):
-    """The lines of a section, its seconds and its seed; None when it was never run."""
+    """The lines of a section, its seconds, its seed and its share of the faults; None when it was never run."""
     if not path.exists():
         return None
     document = json.loads(path.read_text())
-    return [Line(**line) for line in document["lines"]], document["seconds"], document["seed"]
+    return [Line(**line) for line in document["lines"]], document["seconds"], document["seed"], document["share"]
 
 
 def markdown(lines):
