@@ -7,9 +7,12 @@ import pytest
 from numpy.typing import NDArray
 
 from sagnode.geometry.bundle import sub_conductor_offsets
+from sagnode.geometry.camera import Intrinsics, Pose, rotation_from_angles
 from sagnode.match.bundle import lines
 from sagnode.match.localise import localise_beside, wire_kernel
+from sagnode.match.refine import trace
 from sagnode.match.ribbon import line_response, normals
+from sagnode.match.templates import View
 
 Floats = NDArray[np.float64]
 
@@ -80,3 +83,21 @@ def test_a_pattern_a_spacing_off_fits_half_as_well() -> None:
         strengths.append(float(np.median(blocks.correlation)))
     assert scores[1] < 0.6 * scores[0]
     assert strengths[1] < 0.8 * strengths[0]
+
+
+def test_sub_conductors_are_met_on_the_normals_of_the_centre_line() -> None:
+    lens = Intrinsics(1456, 1088, 2050.0, 2050.0, 727.5, 543.5, (-0.05, 0.01))
+    pose = Pose(rotation_from_angles(0.0, -1.0, 0.0), np.array([0.3, 0.5, 14.5]))
+    near, far = np.array([-3.5, 0.0, 20.0]), np.array([-3.5, 269.7, 20.8])
+    places = sub_conductor_offsets(near, far, 4, 0.4)
+    track = trace(View(lens, pose, near, far, 0.0218, (), places), 8.4, 0.1)
+    assert track is not None
+    inner = slice(100, -100)
+    for offset, place in zip(track.members, places, strict=True):
+        member = trace(View(lens, pose, near + place, far + place, 0.0218), 8.4, 0.1)
+        assert member is not None
+        met = (track.pixels + offset[:, None] * track.normal)[inner]
+        gap = met[:, None] - member.pixels
+        nearest = np.argmin(np.hypot(gap[..., 0], gap[..., 1]), axis=1)
+        across = np.sum(gap[np.arange(len(met)), nearest] * member.normal[nearest], axis=1)
+        assert np.abs(across).max() < 0.02

@@ -43,13 +43,17 @@ class View:
         return project(self.intrinsics, self.pose, conductor_points(self.near, self.far, sag, swing, t, self.load))
 
     def across(self, sag: float, swing: float, t: FloatArray, normal: FloatArray) -> FloatArray:
-        """Offsets (m, N) of the sub-conductors from the curve along its normals (N, 2), px."""
+        """Offsets (m, N) of the sub-conductors from the curve along its normals (N, 2), px.
+
+        For samples that follow each other closely: where a sub-conductor crosses a normal is another place along it
+        than the curve's own.
+        """
         if len(self.members) == 1:
             return np.zeros((1, len(t)))
         points = conductor_points(self.near, self.far, sag, swing, t, self.load)
         pixels, _ = project(self.intrinsics, self.pose, points)
         moved, _ = project(self.intrinsics, self.pose, points + self.members[:, None, :])
-        return np.asarray(np.nan_to_num(np.sum((moved - pixels) * normal, axis=-1)))
+        return np.stack([_crossing(pixels, normal, wire) for wire in np.nan_to_num(moved)])
 
     def width_px(self, depth: FloatArray) -> FloatArray:
         """Projected width of one wire, px, at depths (N,) m."""
@@ -122,3 +126,19 @@ def _nodes(view: View) -> FloatArray:
         return even
     inverse = np.linspace(1 / max(near, least), 1 / max(far, least), NODES)
     return np.unique(np.concatenate([even, np.clip((1 / inverse - near) / (far - near), 0.0, 1.0)]))
+
+
+def _crossing(pixels: FloatArray, normal: FloatArray, wire: FloatArray) -> FloatArray:
+    """Where the normals (N, 2) of a curve (N, 2) cross a wire beside it, sampled at the same parameters (N, 2), px."""
+    tangent = np.stack([normal[:, 1], -normal[:, 0]], axis=1)
+    step = np.gradient(wire, axis=0)
+    index = np.arange(len(wire), dtype=np.float64)
+
+    def ahead(place: FloatArray, way: FloatArray) -> FloatArray:
+        """Samples to go from there until the wire meets the normal."""
+        pace = np.sum(way * tangent, axis=1)
+        return np.asarray(-np.sum((place - pixels) * tangent, axis=1) / np.where(np.abs(pace) < 1e-3, np.inf, pace))
+
+    meeting = np.clip(index + ahead(wire, step), 0.0, len(wire) - 1.0)
+    there, way = (np.stack([np.interp(meeting, index, part[:, i]) for i in (0, 1)], axis=1) for part in (wire, step))
+    return np.asarray(np.sum((there + ahead(there, way)[:, None] * way - pixels) * normal, axis=1))
