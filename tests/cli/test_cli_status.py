@@ -194,7 +194,8 @@ def test_without_a_page_the_journal_tells_the_last_readings(tmp_path, capsys):
     assert "4 readings wait" in said
 
 
-def test_it_answers_at_once_and_imports_nothing_heavy(node):
+def test_it_imports_nothing_heavy(node):
+    """What takes time are imports; how much time, ``benchmarks/performance.py`` says."""
     state = node()
     script = (
         "import sys\nfrom sagnode.cli.main import main\n"
@@ -202,9 +203,4 @@ def test_it_answers_at_once_and_imports_nothing_heavy(node):
         "heavy = {'numpy', 'cv2', 'pydantic', 'paho', 'apscheduler'} & set(sys.modules)\n"
         "sys.exit(code if not heavy else f'imported {heavy}')"
     )
-    times = []
-    for _ in range(3):
-        before = time.monotonic()
-        subprocess.run([sys.executable, "-c", script], check=True, capture_output=True)
-        times.append(time.monotonic() - before)
-    assert min(times) < 0.5, times
+    subprocess.run([sys.executable, "-c", script], check=True, capture_output=True)
