@@ -1,5 +1,6 @@
 """Disks that are full, read-only, broken, slow or gone, under the journal; each is made well again after a while."""
 
+import contextlib
 import os
 import subprocess
 import time
@@ -110,7 +111,7 @@ def run_errors(campaign, times):
                 rig.wait_for(lambda: (p := rig.page()) and "in memory" in p["health"]["journal"], 90)
                 rig.wait_good(1)
                 disk.failing = False
-                disk.unmount()  # somebody repairs it and mounts it again
+                unmounted(disk)  # somebody repairs it and mounts it again
                 time.sleep(campaign.random.uniform(0.0, 1.0))
                 subprocess.run(["fsck.ext4", "-p", disk.device], check=False, capture_output=True)
                 disk.mount()
@@ -119,6 +120,15 @@ def run_errors(campaign, times):
             rig.last_run()
             return of("disk answers with EIO, turns read-only, is gone, and is mounted again", times, rig, recovery,
                       gaps=True, remark=f"{refused} requests refused")  # fmt: skip
+
+
+def unmounted(disk):
+    """Busy for the moments in which the node looks whether it is well again."""
+    for _ in range(200):
+        with contextlib.suppress(OSError):
+            return disk.unmount()
+        time.sleep(0.05)
+    return disk.unmount()
 
 
 def run_slow(campaign, times):
