@@ -12,15 +12,15 @@ MANY = 36
 
 GROUPS = (
     # plain views
-    Group("lab", "the paper's laboratory, frontal", _V["lab"], 60, draws.frames(), paper=60),
-    Group("lab45", "the paper's laboratory at 45°", _V["lab45"], 60, draws.frames(), paper=60),
+    Group("lab", "the paper's laboratory, frontal", _V["lab"], 60, draws.frames(), paper=24),
+    Group("lab45", "the paper's laboratory at 45°", _V["lab45"], 60, draws.frames(), paper=24),
     Group(
         "tower",
         "the demonstration's span: camera at tower 1, 5 m below the attachments, 1456x1088, f = 2050 px",
         _V["tower"],
         MANY,
         draws.frames(),
-        paper=6,
+        paper=2,
     ),
     Group(
         "field",
@@ -28,7 +28,7 @@ GROUPS = (
         _V["field"],
         18,
         draws.frames(),
-        paper=2,
+        paper=1,
     ),
     Group(
         "field-tower",
@@ -43,7 +43,7 @@ GROUPS = (
         _V["ground"],
         MANY,
         draws.frames(),
-        paper=4,
+        paper=1,
     ),
     Group("side50", "from the side, 50 m off, f = 540 px, phases above each other", _V["side50"], MANY, draws.frames()),
     Group(
@@ -52,7 +52,7 @@ GROUPS = (
         _V["side"],
         MANY,
         draws.frames(),
-        paper=4,
+        paper=1,
     ),
     Group("side200", "from the side, 200 m off, where the wires are 0.12 px wide", _V["side200"], 18, draws.frames()),
     # the conductor
