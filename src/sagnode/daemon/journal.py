@@ -294,10 +294,15 @@ class Journal:
 
     def close(self) -> None:
         """Fold the log into the file and close it."""
-        with self._lock, contextlib.suppress(sqlite3.Error):
-            self._db.execute("PRAGMA wal_checkpoint(TRUNCATE)")
-            self._db.close()
-            self._marks.closed()
+        with self._lock:
+            folded = False
+            with contextlib.suppress(sqlite3.Error):
+                self._db.execute("PRAGMA wal_checkpoint(TRUNCATE)")
+                folded = True
+            with contextlib.suppress(sqlite3.Error):
+                self._db.close()  # in any case: an open file would keep a broken disk from being unmounted
+            if folded:
+                self._marks.closed()
 
     # -- reading
 
