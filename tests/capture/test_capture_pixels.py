@@ -145,7 +145,8 @@ def test_a_sound_frame_passes_and_so_does_one_with_a_burnt_out_sky() -> None:
         (np.full((96, 64), 255, np.uint8), None, Cause.OVEREXPOSED, "every pixel is 255"),
         (np.full((96, 64), 128, np.uint8), None, Cause.BAD_FRAME, "every pixel is 128"),
         (other(1), other(1), Cause.STALE_FRAME, "same frame again"),
-        (np.vstack([other(1)[:60], other(2)[60:]]), other(2), Cause.BAD_FRAME, "lower 36 rows are those"),
+        (np.vstack([other(1)[:60], other(2)[60:]]), other(2), Cause.BAD_FRAME, "rows 60 to 95 are the last one's"),
+        (np.vstack([other(2)[:60], other(1)[60:]]), other(2), Cause.BAD_FRAME, "rows 0 to 59 are the last one's"),
         (
             np.vstack([other(1)[:60], np.zeros((36, 64), np.uint8)]),
             other(2),

@@ -16,7 +16,7 @@ _CABLE = "check the camera's cable and power; if it goes on, restart the node"
 
 
 def check_frame(image: GreyImage, previous: GreyImage | None, source: str) -> None:
-    """Refuse a frame (h, w) that is constant, ends in unwritten rows, or repeats the previous one from the same camera.
+    """Refuse a frame (h, w) that is constant, ends in unwritten rows, or repeats rows of the previous one.
 
     Raises:
         FrameError: dark, bad-frame or stale-frame.
@@ -28,12 +28,13 @@ def check_frame(image: GreyImage, previous: GreyImage | None, source: str) -> No
         cause = Cause.OVEREXPOSED if low == 255 else Cause.BAD_FRAME
         raise FrameError(f"{source}: every pixel is {low}", _CABLE, cause)
     if previous is not None and previous.shape == image.shape:
-        repeated = _run_from_below((image == previous).all(axis=1))
+        first, repeated = _longest_run((image == previous).all(axis=1))
         if repeated == len(image):
             raise FrameError(f"{source}: the same frame again, bit for bit", _CABLE, Cause.STALE_FRAME)
-        if repeated >= _few(image) and int(np.ptp(image[-repeated:])) > 0:
-            what = f"{source}: half a frame, its lower {repeated} rows are those of the frame before"
-            raise FrameError(what, _CABLE, Cause.BAD_FRAME)
+        # noise alone keeps rows of two frames apart; rows without any may be burnt out in both
+        if repeated >= _few(image) and int(np.ptp(image[first : first + repeated])) > 0:
+            rows = f"rows {first} to {first + repeated - 1}"
+            raise FrameError(f"{source}: two frames in one, {rows} are the last one's", _CABLE, Cause.BAD_FRAME)
     unwritten = _run_from_below((image == image[-1, -1]).all(axis=1))
     if unwritten >= _few(image) and image[-1, -1] < 255:
         what = f"{source}: half a frame, its lower {unwritten} rows are all {image[-1, -1]}"
@@ -42,6 +43,16 @@ def check_frame(image: GreyImage, previous: GreyImage | None, source: str) -> No
 
 def _few(image: GreyImage) -> int:
     return max(8, len(image) // 16)
+
+
+def _longest_run(rows: np.ndarray) -> tuple[int, int]:
+    """Where the longest run of rows that hold begins, and how many they are."""
+    ends = np.flatnonzero(np.diff(np.concatenate([[0], rows.astype(np.int8), [0]])))
+    if not len(ends):
+        return 0, 0
+    lengths = ends[1::2] - ends[::2]
+    longest = int(np.argmax(lengths))
+    return int(ends[2 * longest]), int(lengths[longest])
 
 
 def _run_from_below(rows: np.ndarray) -> int:
