@@ -39,7 +39,8 @@ def open_file(path: Path) -> sqlite3.Connection:
     """Open, check and migrate; raises sqlite3.DatabaseError on damage, JournalError on a later version."""
     db = sqlite3.connect(path, timeout=10.0, isolation_level=None, check_same_thread=False)
     db.text_factory = text_of
-    try:
+    with contextlib.ExitStack() as undo:
+        undo.callback(db.close)
         db.execute("PRAGMA journal_mode = WAL")
         db.execute("PRAGMA synchronous = FULL")
         db.execute("PRAGMA wal_autocheckpoint = 256")
@@ -50,9 +51,7 @@ def open_file(path: Path) -> sqlite3.Connection:
         _migrate(db, path)
         # quick_check does not compare an index with its table; a reading that the index forgot would never be sent.
         db.execute("REINDEX pending")
-    except BaseException:
-        db.close()
-        raise
+        undo.pop_all()
     return db
 
 
@@ -75,11 +74,10 @@ def transaction(db: sqlite3.Connection) -> Iterator[None]:
     try:
         yield
         db.execute("COMMIT")
-    except BaseException:
+    finally:
         # After some disk errors SQLite has rolled back already; a second rollback is then an error of its own.
         if db.in_transaction:
             db.execute("ROLLBACK")
-        raise
 
 
 def is_damage(error: sqlite3.DatabaseError) -> bool:
