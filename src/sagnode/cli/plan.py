@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from sagnode.cli.numbers import finite, positive
 from sagnode.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -55,7 +56,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--grid", type=ranges, metavar="ALONG,RIGHT,UP", help="places: each a number or FROM:TO:COUNT, metres"
     )
     parser.add_argument(
-        "--focal", type=_positive, nargs="*", metavar="MM", help="lenses to try; without a number the usual ones"
+        "--focal", type=positive, nargs="*", metavar="MM", help="lenses to try; without a number the usual ones"
     )
     parser.add_argument("--sensor", metavar="NAME", help="the sensor behind --focal")
     parser.add_argument(
@@ -65,9 +66,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         " wood below a sky (default for all else)",
     )
     parser.add_argument(
-        "--contrast", type=_positive, default=60.0, metavar="GREY", help="of a thick wire before a plain sky (60)"
+        "--contrast", type=positive, default=60.0, metavar="GREY", help="of a thick wire before a plain sky (60)"
     )
-    parser.add_argument("--noise", type=_positive, default=2.0, metavar="GREY", help="of a pixel of a plain sky (2)")
+    parser.add_argument("--noise", type=positive, default=2.0, metavar="GREY", help="of a pixel of a plain sky (2)")
     parser.add_argument("--picture", type=Path, metavar="FILE", help="draw the expected view (PNG)")
     parser.add_argument("--json", action="store_true", help="as JSON")
 
@@ -208,7 +209,7 @@ def place(text: str) -> tuple[float, float, float]:
     Raises:
         argparse.ArgumentTypeError: it is none.
     """
-    numbers = [_finite(part) for part in text.split(",")]
+    numbers = [finite(part) for part in text.split(",")]
     if len(numbers) != 3 or max(map(abs, numbers)) > 1e7:
         raise argparse.ArgumentTypeError(f"'{text}' is not three numbers such as 0.6,0.85,12.2")
     return numbers[0], numbers[1], numbers[2]
@@ -229,25 +230,8 @@ def ranges(text: str) -> tuple[list[float], list[float], list[float]]:
 def _range(text: str) -> list[float]:
     parts = text.split(":")
     if len(parts) == 1:
-        return [_finite(text)]
+        return [finite(text)]
     if len(parts) != 3 or not parts[2].isdecimal() or not 2 <= int(parts[2]) <= 1000:
         raise argparse.ArgumentTypeError(f"'{text}' is not FROM:TO:COUNT such as 0:270:4")
-    first, last, count = _finite(parts[0]), _finite(parts[1]), int(parts[2])
+    first, last, count = finite(parts[0]), finite(parts[1]), int(parts[2])
     return [first + (last - first) * k / (count - 1) for k in range(count)]
-
-
-def _finite(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"'{text}' is not a number") from None
-    if not math.isfinite(value):
-        raise argparse.ArgumentTypeError(f"'{text}' is not a finite number")
-    return value
-
-
-def _positive(text: str) -> float:
-    value = _finite(text)
-    if value <= 0:
-        raise argparse.ArgumentTypeError(f"{text} must be greater than 0")
-    return value

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import argparse
-import math
 import sys
 from datetime import UTC, date, datetime, timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING
+
+from sagnode.cli.numbers import finite, positive
 
 if TYPE_CHECKING:
     from sagnode.config.span import Span
@@ -28,10 +29,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="directory to write into")
     parser.add_argument("--frames", type=_count, default=1, metavar="N", help="how many (default: 1)")
-    parser.add_argument("--every", type=_positive, default=300.0, metavar="S", help="seconds between (default: 300)")
+    parser.add_argument("--every", type=positive, default=300.0, metavar="S", help="seconds between (default: 300)")
     parser.add_argument("--day", type=_day, metavar="YYYY-MM-DD", help="a day from midnight UTC on, with its weather")
     parser.add_argument("--sag", type=_sags, metavar="M[:M]", help="sag, or from:to (default: middle of the range)")
-    parser.add_argument("--swing", type=_finite, default=0.0, metavar="DEG", help="swing of all conductors")
+    parser.add_argument("--swing", type=finite, default=0.0, metavar="DEG", help="swing of all conductors")
     parser.add_argument("--fog", type=_not_negative, default=1.5e-4, metavar="PER_M", help="0.02 is dense fog")
     parser.add_argument("--rain", type=_share, default=0.0, metavar="0..1", help="0 is none")
     parser.add_argument("--cloud", type=_share, default=0.4, metavar="0..1", help="0 is a clear sky")
@@ -120,36 +121,15 @@ def _progress(done: int, total: int) -> None:
     print(f"\rrendered {done}/{total}", end="\n" if done == total else "", file=sys.stderr, flush=True)
 
 
-def _number(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"'{text}' is not a number") from None
-    if not math.isfinite(value):
-        raise argparse.ArgumentTypeError(f"'{text}' is not a finite number")
-    return value
-
-
-def _finite(text: str) -> float:
-    return _number(text)
-
-
-def _positive(text: str) -> float:
-    value = _number(text)
-    if value <= 0:
-        raise argparse.ArgumentTypeError(f"{text} must be greater than 0")
-    return value
-
-
 def _not_negative(text: str) -> float:
-    value = _number(text)
+    value = finite(text)
     if value < 0:
         raise argparse.ArgumentTypeError(f"{text} must be 0 or more")
     return value
 
 
 def _share(text: str) -> float:
-    value = _number(text)
+    value = finite(text)
     if not 0 <= value <= 1:
         raise argparse.ArgumentTypeError(f"{text} must be from 0 to 1")
     return value
@@ -163,7 +143,7 @@ def _count(text: str) -> int:
 
 def _sags(text: str) -> tuple[float, float]:
     first, _, last = text.partition(":")
-    return _positive(first), _positive(last or first)
+    return positive(first), positive(last or first)
 
 
 def _day(text: str) -> date:
