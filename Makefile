@@ -37,7 +37,7 @@ bench:
 	@scripts/setup dev
 	@$(BIN)/python benchmarks/run.py
 	@$(BIN)/python benchmarks/montecarlo.py
-	@$(BIN)/python benchmarks/performance.py
+	@$(BIN)/python benchmarks/performance/run.py
 
 faults:
 	@scripts/setup dev

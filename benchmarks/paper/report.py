@@ -10,7 +10,7 @@ from pathlib import Path
 from paper import printed
 from paper.measuring import OWN, PAPER_METHODS, Errors, Result, difference, errors
 from paper.modes import ModeRow
-from performance_prose import flow
+from performance.prose import flow
 
 BEGIN, END = "<!-- measured: begin -->", "<!-- measured: end -->"
 METHODS = (*PAPER_METHODS, OWN)

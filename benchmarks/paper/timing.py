@@ -10,8 +10,8 @@ import cv2
 import numpy as np
 
 from paper.scenes import Trial
-from performance_frames import Shot
-from performance_methods import POINTS, Literal
+from performance.frames import Shot
+from performance.methods import POINTS, Literal
 from sagnode.geometry.camera import project
 from sagnode.geometry.conductor import conductor_points, sag_profile
 from sagnode.pipeline import load_site

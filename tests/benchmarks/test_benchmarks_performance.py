@@ -19,13 +19,13 @@ from sagnode.worker.supervisor import Limits, Supervisor
 
 BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
 sys.path.insert(0, str(BENCHMARKS))
-frames = pytest.importorskip("performance_frames")
-methods = pytest.importorskip("performance_methods")
-process = pytest.importorskip("performance_process")
-profile = pytest.importorskip("performance_profile")
-proxy = pytest.importorskip("performance_proxy")
-stages = pytest.importorskip("performance_stages")
-tables = pytest.importorskip("performance_speed_tables")
+frames = pytest.importorskip("performance.frames")
+methods = pytest.importorskip("performance.methods")
+process = pytest.importorskip("performance.process")
+profile = pytest.importorskip("performance.hotspots")
+proxy = pytest.importorskip("performance.proxy")
+stages = pytest.importorskip("performance.stages")
+tables = pytest.importorskip("performance.speed_tables")
 
 
 @pytest.fixture
@@ -34,7 +34,7 @@ def tower(tmp_path):
 
 
 def test_every_stage_that_is_clocked_is_there():
-    """Fails when a stage was renamed: then say in benchmarks/performance_stages.py what it is called now."""
+    """Fails when a stage was renamed: then say in benchmarks/performance/stages.py what it is called now."""
     for stage in stages.STAGES:
         stages.bound(stage.module, stage.function)
 
@@ -140,7 +140,7 @@ def test_the_stand_in_speaks_the_workers_protocol_and_goes_on_where_it_was(tmp_p
 
     def command(requests_fd, replies_fd, resume_after):
         line = ["env", *(f"{k}={v}" for k, v in words.items()), sys.executable]
-        line += [str(BENCHMARKS / "performance_stand_in.py")]
+        line += [str(BENCHMARKS / "performance" / "stand_in.py")]
         line += ["--requests-fd", str(requests_fd), "--replies-fd", str(replies_fd), "--parent", str(os.getpid())]
         return line if resume_after is None else [*line, "--resume-after", resume_after.isoformat()]
 
@@ -185,7 +185,7 @@ def test_sampled_stacks_are_summed_by_this_programs_functions():
 def test_the_plan_reaches_the_cases(tmp_path):
     """What the command line chose is what the cases see, in the thorough plan as in the quick one."""
     script = (
-        "import sys, performance_plan as p; from pathlib import Path;"
+        "import sys; from performance import plan as p; from pathlib import Path;"
         "plan = p.thorough(Path(sys.argv[1])); p.announce(plan); assert p.current() == plan"
     )
     subprocess.run([sys.executable, "-c", script, str(tmp_path)], check=True, cwd=BENCHMARKS)

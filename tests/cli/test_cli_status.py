@@ -195,7 +195,7 @@ def test_without_a_page_the_journal_tells_the_last_readings(tmp_path, capsys):
 
 
 def test_it_imports_nothing_heavy(node):
-    """What takes time are imports; how much time, ``benchmarks/performance.py`` says."""
+    """What takes time are imports; how much time, ``benchmarks/performance/run.py`` says."""
     state = node()
     script = (
         "import sys\nfrom sagnode.cli.main import main\n"

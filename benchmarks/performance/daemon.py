@@ -1,4 +1,4 @@
-"""The real daemon with :mod:`performance_stand_in` for a worker: ``performance_daemon.py NODE.TOML``."""
+"""The real daemon with :mod:`performance.stand_in` for a worker: ``benchmarks/performance/daemon.py NODE.TOML``."""
 
 from __future__ import annotations
 
@@ -8,13 +8,15 @@ from collections.abc import Sequence
 from datetime import datetime
 from pathlib import Path
 
-from performance_stages import replaced
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # the folder of this package
+
+from performance.stages import replaced
 from sagnode.config.load import load_node
 from sagnode.daemon import logs
 from sagnode.daemon.node import run
 from sagnode.worker.process import CommandLine
 
-STAND_IN = Path(__file__).with_name("performance_stand_in.py")
+STAND_IN = Path(__file__).with_name("stand_in.py")
 
 
 def command_line(_config: Path) -> CommandLine:

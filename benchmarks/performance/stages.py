@@ -52,7 +52,7 @@ def bound(module: str, name: str) -> tuple[ModuleType, Any]:
     """
     found = importlib.import_module(module)
     if not hasattr(found, name):
-        raise NameGone(f"{module}.{name} is gone; say in benchmarks/performance_*.py where that stage is now")
+        raise NameGone(f"{module}.{name} is gone; say in benchmarks/performance/ where that stage is now")
     return found, getattr(found, name)
 
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from performance_frames import NAMES
-from performance_methods import LITERAL
-from performance_prose import flow
-from performance_stages import STAGES
+from performance.frames import NAMES
+from performance.methods import LITERAL
+from performance.prose import flow
+from performance.stages import STAGES
 
 PAPER_TEMPLATES = 300
 VIEWS = {

@@ -1,6 +1,6 @@
 """Speed, memory and idle cost, sagnode beside the paper's methods; writes ``docs/performance.md`` and its plot.
 
-    python benchmarks/performance.py [--thorough] [--only speed memory idle profile] [--out docs]
+    python benchmarks/performance/run.py [--thorough] [--only speed memory idle profile] [--out docs]
 
 Without --thorough it takes a few minutes. What was measured lies in ``out/performance/*.json``, one file a part, so
 that one part can be measured again; the report says when and of which version each part was measured. Run as root it
@@ -23,12 +23,15 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-import performance_plan
-from performance_stages import NameGone
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # the folder of this package
 
-ROOT = Path(__file__).resolve().parents[1]
+from performance import plan as plans
+from performance.stages import NameGone
+
+ROOT = Path(__file__).resolve().parents[2]
 WORK = ROOT / "out" / "performance"
-PARTS = ("speed", "memory", "idle", "profile")
+PARTS = {"speed": "speed", "memory": "memory", "idle": "idle", "profile": "hotspots"}
+"""And the module that measures each; ``profile`` is a module of the standard library."""
 LIMITS = {"OPENBLAS_NUM_THREADS": "1", "MALLOC_ARENA_MAX": "2"}
 """What the daemon gives its worker, too."""
 
@@ -39,10 +42,10 @@ def main() -> int:
         # the linear algebra reads this when it is loaded, the allocator when the process starts
         os.execve(sys.executable, [sys.executable, *sys.argv], os.environ | LIMITS)  # noqa: S606 - this very program
     WORK.mkdir(parents=True, exist_ok=True)
-    make = performance_plan.thorough if options.thorough else performance_plan.quick
+    make = plans.thorough if options.thorough else plans.quick
     plan = make(WORK / "frames")
     plan.folder.mkdir(exist_ok=True)
-    performance_plan.announce(plan)
+    plans.announce(plan)
     began = time.monotonic()
     for part in options.only:
         print(f"{time.monotonic() - began:6.0f} s  {part}", file=sys.stderr, flush=True)
@@ -51,7 +54,7 @@ def main() -> int:
         except NameGone as gone:
             print(f"{part}: {gone}", file=sys.stderr)
             return 1
-    from performance_report import write_report
+    from performance.report import write_report
 
     written = write_report(_load, options.out)
     print(f"{time.monotonic() - began:6.0f} s  wrote {', '.join(str(p) for p in written)}", file=sys.stderr)
@@ -66,12 +69,12 @@ def _options() -> argparse.Namespace:
     return parser.parse_args()
 
 
-def _measure(part: str) -> Callable[[performance_plan.Plan], dict[str, Any]]:
+def _measure(part: str) -> Callable[[plans.Plan], dict[str, Any]]:
     # imported when asked for: pytest and OpenCV are not needed by all
-    return importlib.import_module(f"performance_{part}").measure
+    return importlib.import_module(f"performance.{PARTS[part]}").measure
 
 
-def _store(part: str, plan: performance_plan.Plan, results: dict[str, Any]) -> None:
+def _store(part: str, plan: plans.Plan, results: dict[str, Any]) -> None:
     about = {
         "measured_at": datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
         "version": _version(),

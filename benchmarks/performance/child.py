@@ -1,6 +1,6 @@
 """One method on one picture in a process of its own: its peak memory, or again and again to be looked at.
 
-python benchmarks/performance_child.py (literal|anchored|reading|burst|repeat) NODE.TOML; prints JSON
+python benchmarks/performance/child.py (literal|anchored|reading|burst|repeat) NODE.TOML; prints JSON
 """
 
 from __future__ import annotations
@@ -11,11 +11,13 @@ import sys
 import time
 from pathlib import Path
 
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # the folder of this package
+
 import cv2
 
-from performance_frames import Shot
-from performance_methods import Anchored, Literal
-from performance_process import forget_peak, peak_kb, resident_kb
+from performance.frames import Shot
+from performance.methods import Anchored, Literal
+from performance.process import forget_peak, peak_kb, resident_kb
 from sagnode.capture.images import read_grey
 from sagnode.config.load import load_node
 from sagnode.pipeline import load_site, measure_burst, measure_frame

@@ -1,4 +1,4 @@
-"""What is timed, one case a test; pytest-benchmark is the clock. Run by ``python benchmarks/performance.py``.
+"""What is timed, one case a test; pytest-benchmark is the clock. Run by ``python benchmarks/performance/run.py``.
 
 All cases run in one process on the same pictures, one thread, and count CPU seconds of that process, so that ratios
 between them hold even where other programs share the machine. (pyperf would give every case processes of its own.)
@@ -11,17 +11,17 @@ import time
 import cv2
 import pytest
 
-import performance_plan
-from performance_frames import NAMES, scaled_tower, shot
-from performance_methods import LITERAL, Anchored, Literal, Own
-from performance_node import write_node
-from performance_stages import bound, clocked
+from performance import plan as plans
+from performance.frames import NAMES, scaled_tower, shot
+from performance.methods import LITERAL, Anchored, Literal, Own
+from performance.node import write_node
+from performance.stages import bound, clocked
 from sagnode.capture import open_source
 from sagnode.capture.images import read_grey
 from sagnode.pipeline import load_site, measure_burst, measure_frame
 from sagnode.worker.protocol import MeasureRequest
 
-PLAN = performance_plan.current()
+PLAN = plans.current()
 pytestmark = pytest.mark.benchmark(timer=time.process_time, disable_gc=True, warmup=False)
 
 

@@ -9,8 +9,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from performance_frames import Shot
-from performance_stages import bound, replaced
+from performance.frames import Shot
+from performance.stages import bound, replaced
 from sagnode.calibrate.undistort import undistort_image
 from sagnode.pipeline import measure_frame
 from sagnode.reference.anchored import DrawnLibrary, anchored_scores, best_of, draw_library

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from performance_frames import Shot
+from performance.frames import Shot
 from sagnode.config.load import LoadedNode, load_node
 from sagnode.config.show import toml_text
 

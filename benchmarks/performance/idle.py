@@ -13,12 +13,12 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from performance_frames import shot
-from performance_memory import broker_table, journalled, stand_in_daemon
-from performance_node import write_node
-from performance_plan import Plan
-from performance_process import cpu_s, written_bytes
-from performance_proxy import Proxy
+from performance.frames import shot
+from performance.memory import broker_table, journalled, stand_in_daemon
+from performance.node import write_node
+from performance.plan import Plan
+from performance.process import cpu_s, written_bytes
+from performance.proxy import Proxy
 from sagnode.demo.broker import EmbeddedBroker
 
 BURST = 4

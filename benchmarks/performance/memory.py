@@ -15,10 +15,10 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from performance_frames import NAMES, shot
-from performance_node import write_node
-from performance_plan import Plan
-from performance_process import cpu_s, peak_kb, resident_kb, slope
+from performance.frames import NAMES, shot
+from performance.node import write_node
+from performance.plan import Plan
+from performance.process import cpu_s, peak_kb, resident_kb, slope
 from sagnode.config.load import LoadedNode
 from sagnode.demo.broker import EmbeddedBroker
 from sagnode.worker.protocol import MeasureReply
@@ -44,7 +44,7 @@ def measure(plan: Plan) -> dict[str, Any]:
 
 
 def _child(method: str, node: Path) -> dict[str, int]:
-    words = [sys.executable, str(HERE / "performance_child.py"), method, str(node)]
+    words = [sys.executable, str(HERE / "child.py"), method, str(node)]
     done = subprocess.run(words, stdout=subprocess.PIPE, check=True, text=True)
     return dict(json.loads(done.stdout))
 
@@ -114,7 +114,7 @@ def stand_in_daemon(
     }
     if flush is not None:
         environment["SAGNODE_STAND_IN_FLUSH"] = str(flush)
-    words = [sys.executable, str(HERE / "performance_daemon.py"), str(loaded.path)]
+    words = [sys.executable, str(HERE / "daemon.py"), str(loaded.path)]
     with (plan.folder / "daemon.log").open("wb") as log:
         process = subprocess.Popen(words, stdin=subprocess.DEVNULL, stdout=log, stderr=log, env=environment)
     try:

@@ -20,10 +20,10 @@ from typing import Any
 import cv2
 import numpy as np
 
-from performance_frames import Shot, shot
-from performance_node import write_node
-from performance_plan import Plan
-from performance_stages import replaced
+from performance.frames import Shot, shot
+from performance.node import write_node
+from performance.plan import Plan
+from performance.stages import replaced
 from sagnode.pipeline import measure_frame
 
 HERE = Path(__file__).parent
@@ -68,7 +68,7 @@ def _sampled(plan: Plan, node: Path) -> Counter[tuple[str, ...]]:
         raise SystemExit("py-spy is not installed: pip install 'sagnode[dev]'")
     raw = plan.folder / "stacks.txt"
     words = [program, "record", "--format", "raw", "--rate", str(RATE_HZ), "--output", str(raw), "--"]
-    words += [sys.executable, str(HERE / "performance_child.py"), "repeat", str(node)]
+    words += [sys.executable, str(HERE / "child.py"), "repeat", str(node)]
     done = subprocess.run(words, capture_output=True, text=True, check=False)
     if done.returncode != 0:
         raise SystemExit(f"py-spy cannot look at a process here (it needs ptrace): {done.stderr.strip()[-300:]}")

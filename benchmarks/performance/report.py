@@ -6,9 +6,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import performance_speed_tables as speed
-from performance_prose import flow
-from performance_resource_tables import idle_section, memory_section, profile_section
+from performance import speed_tables as speed
+from performance.prose import flow
+from performance.resource_tables import idle_section, memory_section, profile_section
 
 Part = dict[str, Any]
 
@@ -47,7 +47,7 @@ def write_report(load: Callable[[str], Part | None], out: Path) -> list[Path]:
 def _head(parts: dict[str, Part]) -> str:
     lines = [
         flow(
-            """Written by `python benchmarks/performance.py`; do not edit. Times are CPU seconds of one thread, the
+            """Written by `python benchmarks/performance/run.py`; do not edit. Times are CPU seconds of one thread, the
             least of the rounds, unless wall time is said; ratios are between methods on the same picture in the
             same process of the same run. No Raspberry Pi was at hand: its cores take two to four times as long (an
             estimate, not measured), for all methods alike. Where other programs shared the machine (a load beyond its

@@ -64,7 +64,7 @@ def current() -> Plan:
     """The plan of this process.
 
     Raises:
-        KeyError: there is none: the cases are run by ``benchmarks/performance.py`` only.
+        KeyError: there is none: the cases are run by ``benchmarks/performance/run.py`` only.
     """
     document = json.loads(os.environ[ENVIRONMENT])
     document["folder"] = Path(document["folder"])

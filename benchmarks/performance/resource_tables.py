@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from performance_frames import NAMES
-from performance_prose import flow
-from performance_proxy import HEADERS
+from performance.frames import NAMES
+from performance.prose import flow
+from performance.proxy import HEADERS
 
 NETWORK_SEGMENT = 1400
 PER_HOUR = 12

@@ -8,9 +8,9 @@ from typing import Any
 
 import pytest
 
-from performance_plan import Plan
+from performance.plan import Plan
 
-CASES = Path(__file__).with_name("performance_cases.py")
+CASES = Path(__file__).with_name("cases.py")
 KEPT = ("min", "median", "max", "rounds")
 
 
