@@ -25,7 +25,8 @@ import numpy as np
 from groups import groups_by_name
 from run import REPORT_SEED, ROOT
 from sagnode.estimate.joint import CurveObservations, LandmarkObservations, correlated_error, solve, solve_camera
-from sagnode.estimate.locate import Matched, locate
+from sagnode.estimate.locate import locate
+from sagnode.estimate.matched import Matched
 from sagnode.estimate.register import Registered, register
 from sagnode.estimate.tell import K95, propagate
 from sagnode.geometry.camera import FloatArray, project

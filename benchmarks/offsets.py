@@ -22,7 +22,8 @@ import numpy as np
 from groups import groups_by_name
 from run import DEVELOPMENT_SEED
 from sagnode.estimate.joint import CORRELATED_PX, CORRELATION_LENGTH_PX
-from sagnode.estimate.locate import Matched, locate
+from sagnode.estimate.locate import locate
+from sagnode.estimate.matched import Matched
 from sagnode.estimate.register import register
 from sagnode.geometry.camera import FloatArray
 from sagnode.pipeline import load_site

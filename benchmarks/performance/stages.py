@@ -31,9 +31,9 @@ STAGES = (
     Stage("look", "sagnode.pipeline", "look"),
     Stage("register", "sagnode.pipeline", "register"),
     Stage("locate", "sagnode.pipeline", "locate"),
-    Stage("search", "sagnode.estimate.locate", "search", "locate"),
-    Stage("refine", "sagnode.estimate.locate", "observe", "locate"),
-    Stage("solve", "sagnode.estimate.locate", "solve", "locate"),
+    Stage("search", "sagnode.estimate.even", "search", "locate"),
+    Stage("refine", "sagnode.estimate.matched", "observe", "locate"),
+    Stage("solve", "sagnode.estimate.matched", "solve", "locate"),
     Stage("tell", "sagnode.pipeline", "tell"),
     Stage("judge", "sagnode.estimate.tell", "judge", "tell"),
 )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from sagnode.capture.port import GreyImage
-from sagnode.estimate.locate import Matched, attachment_z, support, visible_share
+from sagnode.estimate.matched import Matched, attachment_z, support, visible_share
 from sagnode.message import Estimate
 from sagnode.quality import Cause, Reason, Validity
 from sagnode.site import Site, SiteConductor

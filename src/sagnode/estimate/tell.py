@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from sagnode.estimate.judge import judge
-from sagnode.estimate.locate import Matched, on_curve, visible_share
+from sagnode.estimate.matched import Matched, on_curve, visible_share
 from sagnode.estimate.register import Registered
 from sagnode.geometry.camera import FloatArray, project
 from sagnode.geometry.quantities import Shape, clearance_place_u, conductor_temperature, quantities, quantities_of_many

@@ -17,7 +17,8 @@ import numpy as np
 from sagnode.config.span import Span
 from sagnode.estimate.joint import NOTHING_KNOWN, LandmarkObservations, solve_camera
 from sagnode.estimate.judge import judge
-from sagnode.estimate.locate import Matched, locate, visible_share
+from sagnode.estimate.locate import locate
+from sagnode.estimate.matched import Matched, visible_share
 from sagnode.estimate.register import Registered
 from sagnode.estimate.tell import propagate
 from sagnode.geometry.camera import FloatArray, inside, project

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sagnode.estimate.joint import CameraKnowledge, LandmarkObservations, solve_camera
-from sagnode.estimate.locate import Matched
+from sagnode.estimate.matched import Matched
 from sagnode.estimate.tell import propagate
 from sagnode.geometry.camera import FloatArray
 from sagnode.plan.foresee import Foreseen, expected_landmarks

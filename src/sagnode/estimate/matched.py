@@ -1,0 +1,160 @@
+"""A conductor as it was found in a frame, and the refinement that finds it: measure across the curve, solve, again."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sagnode.capture.port import GreyImage
+from sagnode.estimate.joint import CurveObservations, Solution, solve
+from sagnode.estimate.register import Registered, moved_survey
+from sagnode.geometry.camera import FloatArray
+from sagnode.match.refine import Observed, Sighting, Track, mixed_samples, observe, sight, trace
+from sagnode.match.templates import SAMPLES, View
+from sagnode.site import SiteConductor
+from sagnode.survey import ATTACHMENTS, LOAD, SAG, SWING, Survey
+
+
+@dataclass(frozen=True)
+class Stage:
+    """One refinement: how far across the curve to look, how long blocks are, and which blocks count."""
+
+    half_range_px: float
+    block_px: float
+    shifts: int
+    """Shifted curves that a block is ranked against."""
+    run: int
+    """Least number of blocks in a row: long runs are the clear part of a wire, chance does not make them."""
+    iterations: int
+    """Most steps of the joint estimate."""
+
+
+STAGES = (Stage(8.0, 8.0, 2, 6, 5), Stage(5.0, 8.0, 4, 1, 6), Stage(3.0, 20.0, 8, 1, 12))
+"""From the first refinement to the last, which knows the curve to a pixel and follows the wire where it is faint."""
+MAX_BLOCKS = 80
+"""More blocks say nothing new: neighbours within a few dozen pixels share their error."""
+
+NOT_LOOKED_AT = Sighting(0.0, np.zeros(0, dtype=bool))
+
+
+@dataclass(frozen=True)
+class Matched:
+    """A conductor found in one frame."""
+
+    survey: Survey
+    solution: Solution
+    view: View
+    track: Track
+    observed: Observed
+    offsets: CurveObservations
+    """The usable blocks of ``observed``, as they were solved for."""
+    response: float
+    """Mean response along the curve, half by length in the picture and half by length of the span, grey levels."""
+    sighting: Sighting = NOT_LOOKED_AT
+    rival: float = 0.0
+    """Response of the best different curve over this one's where the two part; 0 if there is none."""
+    doubtful_load: bool = False
+    """The wire hangs unevenly by its misfit, and no uneven load was found that explains it better."""
+
+    @property
+    def sag(self) -> tuple[float, float]:
+        """In-plane sag and its standard uncertainty, m."""
+        return float(self.solution.theta[SAG]), float(np.sqrt(self.solution.covariance[SAG, SAG]))
+
+    @property
+    def swing(self) -> tuple[float, float]:
+        """Swing and its standard uncertainty, rad."""
+        return float(self.solution.theta[SWING]), float(np.sqrt(self.solution.covariance[SWING, SWING]))
+
+
+def survey_of(conductor: SiteConductor, registered: Registered) -> Survey:
+    """What is known of camera and conductor, the camera's orientation as uncertain as its movement makes it."""
+    movement = registered.movement_px or 0.0
+    return moved_survey(conductor.survey, movement)
+
+
+def view_of(survey: Survey, conductor: SiteConductor, theta: FloatArray) -> View:
+    """How the conductor's curves project at θ (28,): its camera, attachments and load."""
+    intrinsics, pose = survey.camera(theta)
+    shape = survey.shape(theta)
+    load = tuple(float(term) for term in theta[LOAD]) if survey.load_u > 0 else ()
+    return View(intrinsics, pose, shape.near, shape.far, conductor.width, load, conductor.members)
+
+
+def looked_at(image: GreyImage, match: Matched) -> Matched:
+    """The same, with the shifted-curve test of its curve."""
+    return replace(match, sighting=sight(image, match.track))
+
+
+def refine(
+    image: GreyImage,
+    conductor: SiteConductor,
+    survey: Survey,
+    registered: Registered,
+    theta: FloatArray,
+    others: list[FloatArray],
+    stages: tuple[Stage, ...],
+) -> Matched | None:
+    """Measure across the curve, solve jointly, and again about the new curve, looking ever closer."""
+    solution: Solution | None = None
+    observed: Observed | None = None
+    offsets: CurveObservations | None = None
+    for stage in stages:
+        view = view_of(survey, conductor, theta)
+        curve = trace(view, float(theta[SAG]), float(theta[SWING]))
+        if curve is None:
+            return None
+        block_px = max(stage.block_px, float(curve.arc[-1]) / MAX_BLOCKS)
+        observed = observe(image, curve, stage.half_range_px, others, block_px, stage.shifts, stage.run)
+        use = observed.usable
+        if int(use.sum()) < 4:
+            return None
+        offsets = CurveObservations(
+            t=observed.t[use],
+            arc=observed.arc[use],
+            normal=observed.normal[use],
+            measured=(observed.pixel + observed.offset[:, None] * observed.normal)[use],
+            sigma=observed.sigma[use],
+        )
+        solution = solve(survey, theta, registered.camera, offsets, stage.iterations)
+        theta = solution.theta
+    if solution is None or observed is None or offsets is None:
+        return None
+    view = view_of(survey, conductor, theta)
+    curve = trace(view, float(theta[SAG]), float(theta[SWING]))
+    if curve is None:
+        return None
+    response = _mixed_response(image, curve)
+    return Matched(survey, solution, view, curve, observed, offsets, response)
+
+
+def _mixed_response(image: GreyImage, track: Track) -> float:
+    """Mean response of a curve, half by length in the picture and half by length of the span, grey levels."""
+    response = track.response(image, mixed_samples(track, SAMPLES))
+    return float(np.nanmean(response)) if np.isfinite(response).any() else 0.0
+
+
+def on_curve(solution: Solution, observed: Observed) -> NDArray[np.bool_]:
+    """Which blocks (M,) show the wire on the solved curve."""
+    result = np.zeros(len(observed.t), dtype=bool)
+    limit = np.maximum(1.0, 3 * observed.sigma[observed.usable])
+    result[observed.usable] = np.abs(solution.residual) < limit
+    return result
+
+
+def support(matched: Matched) -> float:
+    """Share of the curve in the frame, by its length in the picture, on which a wire stands out."""
+    return float(np.mean(matched.sighting.seen))
+
+
+def visible_share(matched: Matched) -> float:
+    """Share of the span's horizontal length over which a wire stands out on the curve."""
+    extent = np.abs(np.gradient(matched.track.t))
+    return float(np.clip(extent[matched.sighting.seen].sum(), 0.0, 1.0))
+
+
+def attachment_z(matched: Matched) -> float:
+    """Largest correction to the surveyed attachments, in units of their standard uncertainty."""
+    return float(np.max(np.abs(matched.solution.theta[ATTACHMENTS])) / max(matched.survey.attachment_u, 1e-6))
