@@ -163,12 +163,26 @@ class Canvas:
 
     def polygon(self, corners: FloatArray, grey: float) -> None:
         """A convex plane polygon of site points (N, 3), either sense of rotation."""
+        covered = self._covered(corners)
+        if covered is not None:
+            where, cover, depth = covered
+            self.blend(where, cover, grey, depth)
+
+    def shade(self, corners: FloatArray, factor: float) -> None:
+        """Darken a convex plane polygon of site points (N, 3) by a factor."""
+        covered = self._covered(corners)
+        if covered is not None:
+            where, cover, _ = covered
+            self.grey[where] *= 1 - cover * np.float32(1 - factor)
+
+    def _covered(self, corners: FloatArray) -> tuple[tuple[slice, slice], Float32, float] | None:
+        """Window, coverage and depth of a convex polygon; None where nothing of it is seen."""
         pixels, depths = self.project(corners)
         if not (np.all(depths > 0.3) and np.all(np.isfinite(pixels))):
-            return
+            return None
         where = self.window(pixels, 4 * self.psf_px)
         if where is None:
-            return
+            return None
         rays = rays_of(self.intrinsics)
         following = np.roll(pixels, -1, axis=0)
         area = float(np.sum(pixels[:, 0] * following[:, 1] - following[:, 0] * pixels[:, 1]))
@@ -181,7 +195,7 @@ class Canvas:
             nu, nv = sense * np.float32(-(v1 - v0) / length), sense * np.float32((u1 - u0) / length)
             inwards = (rays.u[where] - np.float32(u0)) * nu + (rays.v[where] - np.float32(v0)) * nv
             cover *= normal_cdf(inwards / np.float32(self.psf_px))
-        self.blend(where, cover, grey, float(depths.mean()))
+        return where, cover, float(depths.mean())
 
 
 def hull(points: FloatArray) -> NDArray[np.intp]:

@@ -11,8 +11,9 @@ from sagnode.capture.port import GreyImage
 from sagnode.geometry.camera import FloatArray
 from sagnode.scene.canvas import Air, Canvas
 from sagnode.scene.catenary import WireState
+from sagnode.scene.light import Light
 from sagnode.scene.noise import Floats, sample, tile
-from sagnode.scene.optics import develop, exposure_and_gain, noise_level, sunlight
+from sagnode.scene.optics import develop, exposure_and_gain, noise_level
 from sagnode.scene.sky import air_light, paint_horizon, paint_sky
 from sagnode.scene.spec import Moment, Scene, SpanFrame
 from sagnode.scene.structures import Bar, Thing, landmark_things, tower
@@ -44,21 +45,21 @@ def render(scene: Scene, moment: Moment) -> Rendered:
     frame = SpanFrame.of(scene.true)
     air = Air(moment.fog_per_m + 0.0025 * moment.rain, air_light(moment))
     canvas = Canvas.blank(scene.intrinsics, scene.pose_at(moment), frame.rotation, moment.psf_px, air)
-    sun = sunlight(moment)
-    _paint_backdrop(canvas, scene, moment, frame, sun)
-    for thing in sorted(_things(canvas, scene, frame, sun), key=lambda t: -t.distance_m):
+    light = Light.of(moment)
+    _paint_backdrop(canvas, scene, moment, frame, light)
+    for thing in sorted(_things(canvas, scene, frame, light), key=lambda t: -t.distance_m):
         thing.draw()
-    seen = _draw_wires(canvas, scene, moment, sun)
+    seen = _draw_wires(canvas, scene, moment, light.sun)
     image = develop(scene, moment, canvas.grey)
     summary = {name: _summary(how, moment) for name, how in seen.items()}
     return Rendered(image, truth_document(scene, moment, summary), seen)
 
 
-def _paint_backdrop(canvas: Canvas, scene: Scene, moment: Moment, frame: SpanFrame, sun: float) -> None:
+def _paint_backdrop(canvas: Canvas, scene: Scene, moment: Moment, frame: SpanFrame, light: Light) -> None:
     if scene.world.backdrop == "country":
         paint_sky(canvas, scene, moment)
-        paint_horizon(canvas, scene)
-        paint_ground(canvas, scene, frame, sun)
+        paint_horizon(canvas, scene, light)
+        paint_ground(canvas, scene, frame, light)
         return
     canvas.grey[...] = scene.world.plain_grey
     if scene.world.backdrop == "textured":
@@ -69,28 +70,31 @@ def _paint_backdrop(canvas: Canvas, scene: Scene, moment: Moment, frame: SpanFra
         canvas.grey[...] += np.float32(16.0) * sample(texture, bearing, elevation)
 
 
-def _things(canvas: Canvas, scene: Scene, frame: SpanFrame, sun: float) -> list[Thing]:
+def _things(canvas: Canvas, scene: Scene, frame: SpanFrame, light: Light) -> list[Thing]:
     """Everything that stands, with its distance."""
     camera = canvas.pose.position
     place = frame.to_span(camera)[:2]
-    things = landmark_things(canvas, scene, frame, sun)
+    things = landmark_things(canvas, scene, frame, light)
     for number, tree in enumerate(country_trees(scene, frame)):
         distance = float(np.hypot(tree.along_m - place[0], tree.across_m - place[1]))
-        things.append(Thing(distance, partial(draw_tree, canvas, scene, frame, tree, sun, number)))
+        things.append(Thing(distance, partial(draw_tree, canvas, scene, frame, tree, light, number)))
     if scene.world.towers and scene.world.backdrop == "country":
         for far in (True, False):
             bars = tower(scene, frame, far=far)
             distance = float(np.linalg.norm(np.mean([b.ends.mean(axis=0) for b in bars], axis=0) - camera))
             # The camera's own tower is behind the glass.
             if distance > 20.0 or far:
-                things.append(Thing(distance, partial(_draw_bars, canvas, bars, sun)))
+                things.append(Thing(distance, partial(_draw_bars, canvas, bars, light)))
     return things
 
 
-def _draw_bars(canvas: Canvas, bars: list[Bar], sun: float) -> None:
+def _draw_bars(canvas: Canvas, bars: list[Bar], light: Light) -> None:
     """Draw a lattice; wires are seen through it."""
     for bar in bars:
-        canvas.segment(bar.ends, bar.width_m, bar.grey * (0.8 + 0.35 * sun), opaque=False)
+        grey = bar.grey * light.on_bar(bar.ends, canvas.pose.position, 0.8 + 0.35 * light.sun)
+        axis = np.abs(bar.ends[1] - bar.ends[0])
+        level = float(1 - axis[2] / max(float(np.linalg.norm(axis)), 1e-9))
+        canvas.segment(bar.ends, bar.width_m, light.snowed(grey, 0.6 * level), opaque=False)
 
 
 def _draw_wires(canvas: Canvas, scene: Scene, moment: Moment, sun: float) -> dict[str, tuple[Seen, ...]]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from sagnode.scene.canvas import Canvas
+from sagnode.scene.light import Light
 from sagnode.scene.noise import Float32, Floats, sample, tile
 from sagnode.scene.spec import Moment, Scene
 
@@ -47,12 +48,13 @@ def paint_sky(canvas: Canvas, scene: Scene, moment: Moment) -> None:
     canvas.grey[rows] = grey
 
 
-def paint_horizon(canvas: Canvas, scene: Scene) -> None:
+def paint_horizon(canvas: Canvas, scene: Scene, season: Light) -> None:
     """Paint hills far away and the forest edge, as cylinders about the camera's place."""
     world = scene.world
-    layers: list[tuple[str, float, float, float, float]] = [("hills", 8000.0, 105.0, 57.0, 78.0)]
+    layers: list[tuple[str, float, float, float, float]] = [("hills", 8000.0, 105.0, 57.0, season.snowed(78.0, 0.6))]
     if world.forest_m > 0:
-        layers.append(("forest", world.horizon_m, world.forest_m, 0.10 * world.forest_m, 52.0))
+        forest = season.snowed(52.0 + 24.0 * season.bare, 0.45)
+        layers.append(("forest", world.horizon_m, world.forest_m, 0.10 * world.forest_m, forest))
     camera_height = float(canvas.pose.position[2])
     foot = min(z for _, z in scene.true.ground.profile)
     for name, distance, height, roughness, tone in layers:

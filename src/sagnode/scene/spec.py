@@ -102,6 +102,12 @@ class Moment:
     exposure: float | None = None
     """Brightness relative to a well exposed picture; by default what an automatic exposure reaches."""
     draw_wires: bool = True
+    relief: float = 0.0
+    """How far faces are lit by where they look and shadows lie on things, 0 (all alike) to 1."""
+    snow: float = 0.0
+    """0 to 1: share of what faces upwards that is white."""
+    bare: float = 0.0
+    """0 in summer to 1 when leaves and crops are gone."""
     seed: int = 0
     """Of noise and rain."""
 

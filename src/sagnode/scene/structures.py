@@ -11,6 +11,7 @@ import numpy as np
 from sagnode.config.span import Landmark
 from sagnode.geometry.camera import FloatArray
 from sagnode.scene.canvas import Canvas, hull
+from sagnode.scene.light import SNOW_GREY, Light
 from sagnode.scene.spec import LandmarkKind, Scene, SpanFrame, ground_height
 
 UP = np.array([0.0, 0.0, 1.0])
@@ -141,7 +142,7 @@ def landmark_kind(scene: Scene, name: str) -> LandmarkKind:
     return "target"
 
 
-def landmark_things(canvas: Canvas, scene: Scene, frame: SpanFrame, sunlight: float) -> list[Thing]:
+def landmark_things(canvas: Canvas, scene: Scene, frame: SpanFrame, light: Light) -> list[Thing]:
     """What stands at the landmarks (towers draw their own)."""
     things: list[Thing] = []
     for mark in scene.true.landmarks:
@@ -149,11 +150,11 @@ def landmark_things(canvas: Canvas, scene: Scene, frame: SpanFrame, sunlight: fl
         place = np.array(mark.position)
         distance = float(np.linalg.norm(place - canvas.pose.position))
         if kind == "target":
-            things.append(Thing(distance, _target(canvas, scene, frame, mark, distance)))
+            things.append(Thing(distance, _target(canvas, scene, frame, mark, light)))
         elif kind == "roof":
-            things.append(Thing(distance, _house(canvas, scene, frame, place, sunlight)))
+            things.append(Thing(distance, _house(canvas, scene, frame, place, light)))
         elif kind == "pole":
-            things.append(Thing(distance, _pole(canvas, scene, frame, place)))
+            things.append(Thing(distance, _pole(canvas, scene, frame, place, light)))
     return things
 
 
@@ -165,12 +166,14 @@ def _facing(canvas: Canvas, place: FloatArray) -> tuple[FloatArray, FloatArray]:
     return right, UP
 
 
-def _target(canvas: Canvas, scene: Scene, frame: SpanFrame, mark: Landmark, distance: float) -> Callable[[], None]:
+def _target(canvas: Canvas, scene: Scene, frame: SpanFrame, mark: Landmark, light: Light) -> Callable[[], None]:
     """A plate of four quarters, black and white, on a post; the landmark is its centre."""
     place = np.array(mark.position)
     # The plate's plane is fixed by the surveyed camera, so that it does not turn with the sway.
     right, up = _facing(canvas, place)
+    distance = float(np.linalg.norm(place - canvas.pose.position))
     side = scene.world.target_side_m or 26.0 * distance / canvas.intrinsics.fx
+    lit = light.on_face(np.cross(right, up), 1.0)
 
     def corner(i: float, j: float) -> FloatArray:
         return np.asarray(place + i * side / 2 * right + j * side / 2 * up)
@@ -178,12 +181,28 @@ def _target(canvas: Canvas, scene: Scene, frame: SpanFrame, mark: Landmark, dist
     def draw() -> None:
         foot = _foot(scene, frame, place)
         canvas.segment(np.stack([foot, corner(0, -1)]), max(0.10 * side, 0.004), 70.0)
-        canvas.polygon(np.stack([corner(-1, -1), corner(1, -1), corner(1, 1), corner(-1, 1)]), 214.0)
+        canvas.polygon(np.stack([corner(-1, -1), corner(1, -1), corner(1, 1), corner(-1, 1)]), 214.0 * lit)
         for i, j in ((-1.0, 1.0), (1.0, -1.0)):
             quarter = [corner(0, 0), corner(0.9 * i, 0), corner(0.9 * i, 0.9 * j), corner(0, 0.9 * j)]
-            canvas.polygon(np.stack(quarter), 26.0)
+            canvas.polygon(np.stack(quarter), 26.0 * lit)
+        _weathered_plate(canvas, place, corner, light)
 
     return draw
+
+
+def _weathered_plate(
+    canvas: Canvas, place: FloatArray, corner: Callable[[float, float], FloatArray], light: Light
+) -> None:
+    """Snow and a neighbour's shadow on a survey target."""
+    if light.snow > 0:
+        # a cap, and what the wind has driven against the lower edge
+        for low, high in ((1 - 0.5 * light.snow, 1.0), (-1.0, -1 + 0.3 * light.snow)):
+            strip = [corner(-1, low), corner(1, low), corner(1, high), corner(-1, high)]
+            canvas.polygon(np.stack(strip), SNOW_GREY)
+    if light.relief > 0:
+        edge = light.shadow_edge(place)
+        dark = [corner(-1, -1), corner(edge - 0.3, -1), corner(edge + 0.3, 1), corner(-1, 1)]
+        canvas.shade(np.stack(dark), light.shadow(place))
 
 
 def _foot(scene: Scene, frame: SpanFrame, place: FloatArray) -> FloatArray:
@@ -192,20 +211,23 @@ def _foot(scene: Scene, frame: SpanFrame, place: FloatArray) -> FloatArray:
     return np.array([place[0], place[1], min(ground, float(place[2]) - 0.05)])
 
 
-def _pole(canvas: Canvas, scene: Scene, frame: SpanFrame, place: FloatArray) -> Callable[[], None]:
+def _pole(canvas: Canvas, scene: Scene, frame: SpanFrame, place: FloatArray, light: Light) -> Callable[[], None]:
     """A concrete pole whose top, beside the crosspiece, is the landmark."""
     right, _ = _facing(canvas, place)
+    lit = light.on_face(np.cross(right, UP), 1.0)
 
     def draw() -> None:
-        canvas.segment(np.stack([_foot(scene, frame, place), place]), 0.26, 158.0)
+        canvas.segment(np.stack([_foot(scene, frame, place), place]), 0.26, 158.0 * lit)
         for below, half in ((0.35, 1.1), (1.1, 0.8)):
             middle = place - below * UP
-            canvas.segment(np.stack([middle - half * right, middle + half * right]), 0.18, 172.0)
+            canvas.segment(
+                np.stack([middle - half * right, middle + half * right]), 0.18, light.snowed(172.0 * lit, 0.8)
+            )
 
     return draw
 
 
-def _house(canvas: Canvas, scene: Scene, frame: SpanFrame, place: FloatArray, sunlight: float) -> Callable[[], None]:
+def _house(canvas: Canvas, scene: Scene, frame: SpanFrame, place: FloatArray, light: Light) -> Callable[[], None]:
     """A house whose ridge ends, on the side of the span, at the landmark."""
     local = frame.to_span(place)
     outwards = 1.0 if local[1] > 0 else -1.0
@@ -217,7 +239,11 @@ def _house(canvas: Canvas, scene: Scene, frame: SpanFrame, place: FloatArray, su
         return np.asarray(frame.to_site(local + np.array([along, outwards * outward, height - ridge])))
 
     def draw() -> None:
-        lit = 0.75 + 0.5 * sunlight
+        even = 0.75 + 0.5 * light.sun
+        towards_span, towards_near = -outwards * frame.across, -frame.along
+        pitched = np.array([-(ridge - eaves), 0.0, half]) / float(np.hypot(ridge - eaves, half))
+        of_gable, of_front = light.on_face(towards_span, even), light.on_face(towards_near, even)
+        of_roof = light.on_face(pitched @ frame.rotation, even)
         gable = np.stack([at(0, -half, 0), at(0, half, 0), at(0, half, eaves), at(0, 0, ridge), at(0, -half, eaves)])
         front = np.stack([at(0, -half, 0), at(long, -half, 0), at(long, -half, eaves), at(0, -half, eaves)])
         roof = np.stack([at(0, -half, eaves), at(long, -half, eaves), at(long, 0, ridge), at(0, 0, ridge)])
@@ -225,10 +251,10 @@ def _house(canvas: Canvas, scene: Scene, frame: SpanFrame, place: FloatArray, su
         pixels, _ = canvas.project(outline)
         if not np.all(np.isfinite(pixels)):
             return
-        canvas.polygon(outline[hull(pixels)], 150.0 * lit)
-        canvas.polygon(gable, 172.0 * lit)
-        canvas.polygon(front, 150.0 * lit)
-        canvas.polygon(roof, 64.0 * lit)
+        canvas.polygon(outline[hull(pixels)], 150.0 * of_front)
+        canvas.polygon(gable, 172.0 * of_gable)
+        canvas.polygon(front, 150.0 * of_front)
+        canvas.polygon(roof, light.snowed(64.0 * of_roof))
         count = 5
         for k in range(count):
             x = long * (k + 0.6) / (count + 0.4)

@@ -6,6 +6,7 @@ import numpy as np
 
 from sagnode.geometry.camera import FloatArray
 from sagnode.scene.canvas import Canvas, normal_cdf
+from sagnode.scene.light import Light
 from sagnode.scene.noise import Float32, Floats, sample, tile
 from sagnode.scene.spec import Scene, SpanFrame, ground_height
 from sagnode.scene.truth import ground_and_obstacles
@@ -15,14 +16,14 @@ _SCALES = ((0.22, 14.0, 0.35, 20.0), (1.8, 9.0, 0.6, 30.0), (18.0, 9.0, 0.8, 64.
 _FAR_M = 6000.0
 
 
-def paint_ground(canvas: Canvas, scene: Scene, frame: SpanFrame, sunlight: float) -> None:
+def paint_ground(canvas: Canvas, scene: Scene, frame: SpanFrame, light: Light) -> None:
     """Paint everything below the horizon.
 
     Args:
         canvas: the picture.
         scene: the scene; its true ground profile is used.
         frame: axes of the true span.
-        sunlight: share of direct light, 0 to 1.
+        light: and season.
     """
     along_direction = canvas.direction[..., 0]
     horizontal = np.hypot(along_direction, canvas.direction[..., 1])
@@ -40,7 +41,7 @@ def paint_ground(canvas: Canvas, scene: Scene, frame: SpanFrame, sunlight: float
     pixel = reach * np.float32(1 / canvas.intrinsics.fx)
     height = max(float(origin[2]) - float(ground_height(scene.true, np.array([origin[0]]))[0]), 1.0)
     footprint = pixel * np.maximum(reach / np.float32(height), 1.0)
-    grey = np.full(reach.shape, 96.0, np.float32)
+    grey = np.full(reach.shape, light.snowed(96.0 + 22.0 * light.bare, 0.9), np.float32)
     for k, (texel, contrast, fall, coarsest) in enumerate(_SCALES):
         weight = np.clip(np.float32(1.6) - footprint / np.float32(1.5 * texel), 0.0, 1.0)
         texture = tile(scene.seed, f"ground{k}", slope=fall, coarsest=coarsest, finest=2.2)
@@ -48,7 +49,7 @@ def paint_ground(canvas: Canvas, scene: Scene, frame: SpanFrame, sunlight: float
         if k == 2:
             # fields: two crops with a border between them
             layer = np.tanh(layer * np.float32(2.5))
-        grey += weight * np.float32(contrast * (0.75 + 0.5 * sunlight)) * layer
+        grey += weight * np.float32(contrast * (0.75 + 0.5 * light.sun) * (1 - 0.6 * light.snow)) * layer
     grey += _strip(across - _track(along), 1.1, pixel) * (np.float32(138.0) - grey) * np.float32(0.8)
     for obstacle in scene.true.ground.obstacles:
         middle, half = sum(obstacle.along_m) / 2, (obstacle.along_m[1] - obstacle.along_m[0]) / 2

@@ -6,6 +6,7 @@ import numpy as np
 
 from sagnode.geometry.camera import FloatArray, project
 from sagnode.scene.canvas import Canvas
+from sagnode.scene.light import Light
 from sagnode.scene.noise import generator, sample, tile
 from sagnode.scene.spec import Scene, SpanFrame, Tree, ground_height
 
@@ -53,7 +54,7 @@ def _hides(tree: Tree, marks: FloatArray, camera: FloatArray) -> bool:
     return False
 
 
-def draw_tree(canvas: Canvas, scene: Scene, frame: SpanFrame, tree: Tree, sunlight: float, seed: int) -> None:
+def draw_tree(canvas: Canvas, scene: Scene, frame: SpanFrame, tree: Tree, light: Light, seed: int) -> None:
     """Draw one tree with its crown from 15 % of its height upwards (a bush reaches the ground)."""
     origin = frame.to_span(canvas.pose.position)
     foot = np.array([tree.along_m, tree.across_m])
@@ -98,8 +99,10 @@ def draw_tree(canvas: Canvas, scene: Scene, frame: SpanFrame, tree: Tree, sunlig
     cover = np.clip(inside / soft + np.float32(0.5), 0.0, 1.0)
     fine = sample(leaves, beside / np.float32(1.7 * pixel_m) + shift[2], z / np.float32(1.7 * pixel_m) + shift[3])
     contrast = min(0.16, 0.03 + 1.0 * pixel_m)
-    tone = np.float32(tree.tone) * (1 + np.float32(0.17) * lumps + np.float32(contrast) * fine)
-    tone *= np.float32(0.78) + np.float32(0.32 * (0.4 + sunlight)) * np.clip(y + np.float32(0.4) * x, -1.0, 1.0)
+    tone = np.float32(light.snowed(tree.tone + 20.0 * light.bare, 0.5)) * (
+        1 + np.float32(0.17) * lumps + np.float32(contrast) * fine
+    )
+    tone *= np.float32(0.78) + np.float32(0.32 * (0.4 + light.sun)) * np.clip(y + np.float32(0.4) * x, -1.0, 1.0)
     if not bush:
         trunk = (np.abs(beside) < 0.02 * tree.height_m) & (z > -0.2) & (z < middle)
         tone = np.where(trunk & (cover < 0.5), np.float32(48.0), tone)
