@@ -153,6 +153,45 @@ def test_a_disk_that_refuses_for_long_is_left_until_it_has_room(tmp_path, small_
         assert stores.better(0)
 
 
+def test_a_disk_without_room_for_what_is_in_memory_waits_and_gets_it_whole(tmp_path, small_disk):
+    runtime = tmp_path / "run"
+    runtime.mkdir()
+    stores = Stores(small_disk / "state", runtime)
+    with stores.opened():
+        assert stores.better(refused_s=61)
+    with stores.opened() as store:
+        for number in range(1, 901, 30):
+            store.journal.append([reading(number + i) for i in range(30)], owed=True)
+        store.journal.mark_delivered([store.journal.next_sequence - 1], reading(1).acquired_at)
+        in_memory = sum(file.stat().st_size for file in store.directory.iterdir())
+        assert in_memory > 1_500_000
+        (small_disk / "ballast").write_bytes(bytes(3_800_000 - in_memory))
+        stores._looked_at = float("-inf")
+        assert not stores.better(0)  # a megabyte would go in, all of them would not
+        (small_disk / "ballast").unlink()
+        stores._looked_at = float("-inf")
+        assert stores.better(0)
+        home = Journal(small_disk / "state" / "journal.sqlite")
+        assert home.adopt(store.journal.path) == 900  # what was taken over in part is taken over again
+        home.close()
+    with stores.opened() as store:
+        assert len(store.journal.pending(0, 5000)) == 899
+        log_file = store.journal.path.with_name("journal.sqlite-wal")
+        assert log_file.stat().st_size < in_memory  # carried in pieces: twice the room is not needed
+
+
+def test_a_second_homecoming_brings_what_was_delivered_meanwhile(tmp_path):
+    for place in ("away", "home"):
+        (tmp_path / place).mkdir()
+    away, home = (Journal(tmp_path / place / "journal.sqlite") for place in ("away", "home"))
+    away.append([reading(n) for n in range(1, 6)], owed=True)
+    assert home.adopt(away.path) == 5
+    away.mark_delivered([1, 2], reading(9).acquired_at)
+    home.mark_delivered([5], reading(9).acquired_at)
+    assert home.adopt(away.path) == 5
+    assert [row.sequence for row in home.pending(0, 10)] == [3, 4]
+
+
 def test_without_a_directory_in_memory_the_refusal_stands(tmp_path, small_disk):
     subprocess.run(["mount", "-o", "remount,ro", small_disk], check=True)
     with pytest.raises(DiskError, match="Read-only"), Stores(small_disk / "state", None).opened():

@@ -86,7 +86,7 @@ class Rig:
 
     def __init__(self, directory, kinds=(), *, virtual=True, direct=False, worker=None, sets=None, clock=False,
                  interval_s=0.1, deadline_s=5.0, more="", mqtt="", state_dir=None, span=None, broker_lines=(),
-                 runtime=False, manager=False, camera=None, names=False, always=False):  # fmt: skip
+                 runtime=False, manager=False, camera=None, names=False, always=False, pictures=False):  # fmt: skip
         self.directory = directory
         directory.mkdir(parents=True, exist_ok=True)
         self.state = Path(state_dir) if state_dir else directory / "state"
@@ -101,7 +101,7 @@ class Rig:
         self.direct = direct
         self._options = {
             "virtual": virtual, "interval_s": interval_s, "deadline_s": deadline_s, "more": more, "mqtt": mqtt,
-            "camera": camera,
+            "camera": camera, "pictures": pictures,
         }  # fmt: skip
         self._words = {
             "worker": worker
@@ -113,6 +113,8 @@ class Rig:
         }  # fmt: skip
         self.daemon = None
         self.kills = 0
+        self.peak_mb = 0.0
+        """Greatest memory of a daemon that was ended."""
         self.witness = self.subscriber = None
         self.manager = Manager(directory / "notify") if manager else None
         self._log = (directory / "log").open("ab")
@@ -161,7 +163,7 @@ clock = "{"virtual" if o["virtual"] else "system"}"
 backoff_max_s = 0.2
 [storage]
 state_dir = "{self.state}"
-pictures = false
+pictures = {str(o["pictures"]).lower()}
 {o["more"]}
 [mqtt]
 host = "127.0.0.1"
@@ -190,6 +192,7 @@ inflight = 20
     def kill(self):
         """``kill -9`` of the daemon."""
         self.kills += 1
+        self._weigh()
         self.daemon.kill()
         self.daemon.wait()
         self.daemon = None
@@ -197,6 +200,7 @@ inflight = 20
     def stop(self, seconds=15.0):
         """An orderly end; returns how long it took."""
         began = time.monotonic()
+        self._weigh()
         self.daemon.send_signal(signal.SIGTERM)
         try:
             code = self.daemon.wait(seconds)
@@ -207,6 +211,12 @@ inflight = 20
         self.daemon = None
         assert code == 0, f"exit code {code}: {self.log()[-2000:]}"
         return time.monotonic() - began
+
+    def _weigh(self):
+        with contextlib.suppress(OSError):
+            for line in Path(f"/proc/{self.daemon.pid}/status").read_text().splitlines():
+                if line.startswith("VmHWM:"):
+                    self.peak_mb = max(self.peak_mb, int(line.split()[1]) / 1000)
 
     def worker_pids(self):
         found = []
@@ -302,13 +312,16 @@ inflight = 20
         books = Books(made=len(rows))
         arrived = set(heard) | (self.witness.acknowledged() if by_witness else set())
         lost = [sequence for sequence in rows if sequence not in arrived]
+        # Numbers may have leapt by millions of millions: the missing ones are counted, never listed.
+        missing = max(rows, default=0) - len(rows)
         if allowed_gaps:
-            books.gaps = max(rows, default=0) - len(rows)
+            books.gaps = missing
             lost += [n for n in self.witness.sent if n not in rows]
-        else:
-            lost += [n for n in range(1, max(rows, default=0) + 1) if n not in rows]
         books.delivered = sum(1 for sequence in rows if sequence in arrived)
-        books.lost = len(lost)
+        books.lost = len(lost) + (0 if allowed_gaps else missing)
+        if missing and not allowed_gaps:
+            after = next(n for n in (0, *rows) if n + 1 not in rows)
+            books.remarks.append(f"{missing} numbers are missing in the journal, the first of them {after + 1}")
         books.repeated = sum(len(copies) - 1 for copies in heard.values())
         tokens = {int(word) for _, what, word in self.entries() if what in "GP"}
         recorded = {r["landmarks_used"] for r, _ in rows.values() if r["quality"]["validity"] != "invalid"}

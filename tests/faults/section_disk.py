@@ -2,6 +2,7 @@
 
 import contextlib
 import os
+import shutil
 import subprocess
 import time
 
@@ -14,6 +15,9 @@ from volatile_disk import run as command
 
 SOON = {"daemon.store.DISTRUST_AFTER_S": 1.0, "daemon.store.LOOK_AGAIN_S": 0.5}
 """The shipped daemon waits a minute before it leaves a disk, and another before it looks at it again."""
+MEGABYTES = 24
+PEAK_MB = 150.0
+"""A daemon that takes more memory than this while its disk is of no use is about to do harm."""
 
 
 class SmallDisk:
@@ -24,11 +28,12 @@ class SmallDisk:
         place.mkdir(parents=True)
         command("mount", "-t", "tmpfs", "-o", f"size={megabytes}m", "none", place)
 
-    def fill(self):
+    def fill(self, but_mb=0.0):
+        """Not a byte is left, or so many megabytes."""
         with (self.place / "ballast").open("ab", buffering=0) as ballast:
             try:
-                while ballast.write(bytes(4096)):
-                    pass
+                while (free := shutil.disk_usage(self.place).free) > but_mb * 1e6 or not but_mb:
+                    ballast.write(bytes(4096 if free < but_mb * 1e6 + 200_000 else 65536))
             except OSError:
                 return
 
@@ -53,8 +58,10 @@ class SmallDisk:
 def run_full(campaign, times, *, kill):
     """Full; the daemon waits for space, or is killed and started on the full disk."""
     directory = campaign.fresh("disk")
-    with SmallDisk(directory / "disk", 12) as disk:
-        with Rig(directory, state_dir=disk.place / "state", runtime=True, virtual=False) as rig:
+    with SmallDisk(directory / "disk", MEGABYTES) as disk:
+        # Who starts on a full disk keeps the readings in memory at once, and looks again later.
+        sets = SOON if kill else {}
+        with Rig(directory, state_dir=disk.place / "state", runtime=True, virtual=False, sets=sets) as rig:
             recovery = []
             rig.start()
             rig.wait_good(2)
@@ -75,7 +82,7 @@ def run_full(campaign, times, *, kill):
 def run_read_only(campaign, times):
     """The card was found damaged at boot and mounted read-only; later somebody makes it well, or it is replaced."""
     directory = campaign.fresh("disk")
-    with SmallDisk(directory / "disk", 12) as disk:
+    with SmallDisk(directory / "disk", MEGABYTES) as disk:
         with Rig(directory, state_dir=disk.place / "state", runtime=True, virtual=False, sets=SOON) as rig:
             recovery = []
             rig.start()
@@ -147,17 +154,82 @@ def run_slow(campaign, times):
             return of("disk that takes up to 0.6 s for each request", times, rig, recovery)
 
 
+def run_pictures_give_way(campaign, times):
+    """Readings and pictures on one disk that others fill: the pictures go, and not one reading is refused."""
+    directory = campaign.fresh("disk")
+    with SmallDisk(directory / "disk", MEGABYTES) as disk:
+        with Rig(directory, state_dir=disk.place / "state", virtual=False, pictures=True) as rig:
+            drawn = rig.state / "pictures"
+            recovery, broken = [], []
+            rig.start()
+            for _ in range(times):
+                rig.wait_for(lambda: list(drawn.glob("*.jpg")), 60)
+                disk.fill(but_mb=campaign.random.uniform(1.0, 3.0))
+                filled = time.monotonic()
+                rig.wait_for(lambda: not list(drawn.glob("*.jpg*")), 60)
+                recovery.append(time.monotonic() - filled)
+                rig.wait_good(2)
+                if rig.page()["health"]["journal"] != "ok":
+                    broken.append(f"the journal says {rig.page()['health']['journal']}")
+                disk.empty()
+            rig.wait_for(lambda: list(drawn.glob("*.jpg")), 60)
+            rig.last_run()
+            return of("disk filled by others: the pictures give way to the readings", times, rig, recovery,
+                      broken=broken, remark="recovery: until they have gone")  # fmt: skip
+
+
+def run_pictures_refused(campaign, times):
+    """The place of the pictures is full, read-only or broken by turns; the readings' own place is well."""
+    directory = campaign.fresh("disk")
+    with contextlib.ExitStack() as stack:
+        small = stack.enter_context(SmallDisk(directory / "small", 6))
+        bad = stack.enter_context(VolatileDisk(directory / "bad", 16, campaign.random))
+        rig = stack.enter_context(Rig(directory, runtime=True, virtual=False, pictures=True))
+        link, recovery = rig.runtime / "pictures", []
+        for number in range(times):
+            kind = ("full", "read-only", "broken")[number % 3]
+            place = bad.place if kind == "broken" else small.place
+            (place / "pictures").mkdir(exist_ok=True)
+            link.unlink(missing_ok=True)
+            link.symlink_to(place / "pictures")
+            if rig.daemon is None:
+                rig.start()
+            rig.wait_for(lambda place=place: list((place / "pictures").glob("*.jpg")), 60)
+            at = time.monotonic()
+            if kind == "full":
+                small.fill()
+            elif kind == "read-only":
+                small.remount("ro")
+            else:
+                bad.failing = True
+            rig.wait_good(3)
+            if kind == "full":
+                small.empty()
+            elif kind == "read-only":
+                small.remount("rw")
+            else:
+                bad.failing = False
+                unmounted(bad)
+                subprocess.run(["fsck.ext4", "-p", bad.device], check=False, capture_output=True)
+                bad.mount()
+            recovery.append(next(t for t, what, _ in rig.entries(tail=20_000) if t > at and what == "G") - at)
+        rig.last_run()
+        return of("pictures alone refused: ENOSPC, EROFS, EIO by turns", times, rig, recovery)
+
+
 def run(campaign):
     if os.geteuid() != 0:
         raise Skip("mounting small disks needs root")
-    yield run_full(campaign, campaign.count(12), kill=False)
-    yield run_full(campaign, campaign.count(8), kill=True)
-    yield run_read_only(campaign, campaign.count(8))
+    yield run_full(campaign, campaign.count(15), kill=False)
+    yield run_full(campaign, campaign.count(10), kill=True)
+    yield run_read_only(campaign, campaign.count(10))
+    yield run_pictures_give_way(campaign, campaign.count(10))
     missing = available()
     if missing:
         raise Skip(missing)
-    yield run_errors(campaign, campaign.count(8))
-    yield run_slow(campaign, campaign.count(5))
+    yield run_pictures_refused(campaign, campaign.count(12))
+    yield run_errors(campaign, campaign.count(10))
+    yield run_slow(campaign, campaign.count(10))
 
 
 def recorded_again(rig):
@@ -173,12 +245,15 @@ def recorded_again(rig):
     return time.monotonic() - began
 
 
-def of(title, times, rig, recovery, *, gaps=False, remark=""):
+def of(title, times, rig, recovery, *, gaps=False, broken=(), remark=""):
     books = rig.books(allowed_gaps=gaps)
-    broken = []
+    broken = list(broken)
+    if rig.peak_mb > PEAK_MB:
+        broken.append(f"the daemon took {rig.peak_mb:.0f} MB of memory")
     if books.in_flight > rig.kills:
         broken.append(f"{books.in_flight} answers were never recorded, and the daemon was killed {rig.kills} times")
     if books.gaps:
         remark = f"{remark}{', ' if remark else ''}numbers skipped"
+    remark = f"{remark}{'; ' if remark else ''}daemon {rig.peak_mb:.0f} MB at most"
     return Line.of("disk", title, times, books, recovery=recovery, limit_s=60.0, broken=broken, remark=remark,
                    allowed_repeats=(rig.kills + times) * 70)  # fmt: skip

@@ -40,6 +40,8 @@ log = logging.getLogger(__name__)
 _DELETE_CHUNK = 500
 _NEWEST = 500
 """The newest reading of each conductor is looked for among so many last ones."""
+_ADOPT_CHUNK = 250
+"""Readings in one commit when another journal is taken over: the log does not grow beyond its usual size."""
 _RECENT = 20_000
 """A burst that may have been committed without anybody's knowledge is among so many last readings."""
 
@@ -213,20 +215,29 @@ class Journal:
             How many there were.
 
         Raises:
-            DiskError: the disk refuses.
+            DiskError: the disk refuses; a part of them may be here, and all can be taken over again.
         """
+        query = f"SELECT {COLUMNS} FROM readings ORDER BY sequence"  # noqa: S608 - fixed words
+        # At a second attempt some are here as they were then, and may have been delivered from there since.
+        insert = (
+            f"{INSERT} ON CONFLICT (sequence) DO UPDATE SET fate = excluded.fate, delivered_at = excluded.delivered_at"
+            " WHERE excluded.fate = 'delivered' AND json = excluded.json"
+        )
+        count = 0
         with self._lock:
             try:
                 with contextlib.closing(sqlite3.connect(other, isolation_level=None)) as db:
-                    rows = [row for row in db.execute(f"SELECT {COLUMNS} FROM readings") if is_sound(row)]  # noqa: S608 - fixed words
-                newest = max((row[0] for row in rows), default=0)
-                self._ceiling.cover(max(newest, self._next - 1))
-                with transaction(self._db):
-                    self._db.executemany(f"INSERT OR IGNORE{INSERT.removeprefix('INSERT')}", rows)
+                    found = db.execute(query)
+                    while chunk := found.fetchmany(_ADOPT_CHUNK):
+                        rows = [row for row in chunk if is_sound(row)]
+                        self._ceiling.cover(max((row[0] for row in rows), default=0))
+                        with transaction(self._db):
+                            self._db.executemany(insert, rows)
+                        count += len(rows)
             except (OSError, sqlite3.Error) as error:
                 raise _cannot(self.path, error) from error
             self._count_on(self._newest(), trusted=True)
-        return len(rows)
+        return count
 
     def mark_delivered(self, sequences: Iterable[int], at: datetime) -> None:
         """Remember that the broker acknowledged these.

@@ -80,6 +80,14 @@ class Machine:
             return None
         return stat.f_bavail * stat.f_frsize / 1e6
 
+    def disk_size_mb(self, directory: Path) -> float | None:
+        """Of the file system of a directory."""
+        try:
+            stat = os.statvfs(directory)
+        except OSError:
+            return None
+        return stat.f_blocks * stat.f_frsize / 1e6
+
     def clock_trust(self) -> ClockTrust:
         """The kernel knows (any NTP client tells it); systemd-timesyncd's mark is asked where the kernel may not be."""
         unsynced = _kernel_says_unsynced()

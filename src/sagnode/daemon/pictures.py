@@ -11,7 +11,9 @@ from sagnode.daemon.machine import Machine
 log = logging.getLogger(__name__)
 
 RESERVE_MB = 50.0
-"""Below this much free space no pictures are written: the journal needs it more."""
+"""Below this much free space there are no pictures: the journal needs it more."""
+RESERVE_SHARE = 0.25
+"""On a small file system, such as the one in memory, so much of it is the reserve."""
 
 
 class Pictures:
@@ -37,17 +39,27 @@ class Pictures:
         except OSError as error:
             self._complaints.error(f"pictures {self._directory}: {error.strerror}; readings go on without them")
             return None
-        free = self._machine.disk_free_mb(self._directory)
-        if free is not None and free < RESERVE_MB:
+        if self._lacking_mb() > 0:
+            free = self._machine.disk_free_mb(self._directory)
             self._complaints.error(f"pictures {self._directory}: only {free:.0f} MB free; readings go on without them")
             return None
         return self._directory
 
     def _thin_out(self) -> None:
-        files = sorted((f.stat().st_mtime, f.stat().st_size, f) for f in self._directory.glob("*.jpg"))
-        total = sum(size for _, size, _ in files)
+        """Delete the oldest until the rest keep to the quota and leave the reserve free."""
+        # Half-written ones count too: a full disk, or a killed worker, leaves them.
+        files = sorted((f.stat().st_mtime, f.stat().st_size, f) for f in self._directory.glob("*.jpg*"))
+        surplus = max(sum(size for _, size, _ in files) - self._quota, self._lacking_mb() * 1e6)
         for _, size, file in files:
-            if total <= self._quota:
+            if surplus <= 0:
                 break
             file.unlink(missing_ok=True)
-            total -= size
+            surplus -= size
+
+    def _lacking_mb(self) -> float:
+        """So much is missing from the reserve; 0 when it is free, or nobody knows."""
+        free = self._machine.disk_free_mb(self._directory)
+        size = self._machine.disk_size_mb(self._directory)
+        if free is None or size is None:
+            return 0.0
+        return max(0.0, min(RESERVE_MB, RESERVE_SHARE * size) - free)

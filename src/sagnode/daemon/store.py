@@ -149,12 +149,21 @@ class Stores:
         log.warning("journal: %d readings carried over from memory", count)
         shutil.rmtree(self._volatile_dir, ignore_errors=True)
 
+    def _to_carry_bytes(self) -> int:
+        """Room that the readings in memory will need at home."""
+        if self._volatile_dir is None:
+            return 0
+        return sum(file.stat().st_size for file in self._volatile_dir.glob(f"{JOURNAL}*"))
+
     def _is_well(self) -> bool:
-        """Whether the state directory takes a megabyte and its journal can be opened."""
+        """Whether the state directory takes a megabyte besides what is to come home, and its journal can be opened."""
         probe = self.state_dir / "probe"
         try:
             with alone(self.state_dir):
                 self._expect_the_same_disk()
+                # Half a homecoming on a disk that is full again after it would end all recording there.
+                if shutil.disk_usage(self.state_dir).free < _PROBE_BYTES + self._to_carry_bytes():
+                    return False
                 with probe.open("wb") as stream:
                     stream.write(bytes(_PROBE_BYTES))
                     stream.flush()

@@ -190,12 +190,14 @@ def _draw(directory: Path, frame: Frame, measurements: list[ConductorMeasurement
         picture = draw_overlay(frame.image, [measurement])
         encoded, jpeg = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, 85])
         path = directory / f"{measurement.conductor}.jpg"
+        half_written = path.with_suffix(".jpg.part")
         try:
             if encoded:
-                half_written = path.with_suffix(".jpg.part")
                 half_written.write_bytes(jpeg.tobytes())
                 half_written.replace(path)
                 written[measurement.conductor] = str(path)
         except OSError as error:
             print(f"picture {path}: {error}", file=sys.stderr)
+            with contextlib.suppress(OSError):  # on a full disk the half of it takes the readings' room
+                half_written.unlink(missing_ok=True)
     return written
