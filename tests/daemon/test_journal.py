@@ -19,6 +19,7 @@ from readings import START, fill, reading
 from sagnode.daemon import sequence as sequence_module
 from sagnode.daemon.journal import Journal
 from sagnode.daemon.journal_file import SCHEMA_VERSION
+from sagnode.daemon.journal_table import used_bytes
 from sagnode.daemon.wal import lost_frames
 from sagnode.errors import DiskError, JournalError
 
@@ -355,7 +356,7 @@ def test_size_takes_what_is_owed_last_and_says_so(path):
     journal = Journal(path)
     fill(journal, 400)
     journal.mark_delivered(range(300, 1201), NOW)
-    full = journal._used_bytes()
+    full = used_bytes(journal._db)
     assert journal.prune(max_bytes=0.5 * full, older_than=None) == 0
     assert journal.backlog().depth == 299
     assert journal.note == "ok"

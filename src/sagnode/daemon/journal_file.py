@@ -125,3 +125,9 @@ def text_of(data: bytes) -> str:
 def checksum(sequence: object, conductor: object, text: object) -> int:
     """Over all that a consumer will see; whatever a damaged row holds instead of text is covered as well."""
     return zlib.crc32(f"{sequence}\n{conductor}\n{text}".encode(errors="replace"))
+
+
+def is_sound(row: tuple[object, ...]) -> bool:
+    """Whether a row, with the columns of COLUMNS, holds what was once written."""
+    sequence, _, conductor, _, text, crc, fate, _ = row
+    return checksum(sequence, conductor, text) == crc and fate != "damaged"

@@ -14,7 +14,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 
-from sagnode.daemon.journal import Journal, Row
+from sagnode.daemon.journal import Journal
+from sagnode.daemon.journal_table import Row
 
 log = logging.getLogger(__name__)
 

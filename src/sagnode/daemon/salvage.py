@@ -18,7 +18,17 @@ from collections.abc import Iterator
 from datetime import UTC, datetime
 from pathlib import Path
 
-from sagnode.daemon.journal_file import COLUMNS, checksum, text_of
+from sagnode.daemon.journal_file import (
+    COLUMNS,
+    INSERT,
+    checksum,
+    forget_old_quarantine,
+    is_sound,
+    open_file,
+    set_aside,
+    text_of,
+    transaction,
+)
 
 _CHUNK = 5
 """Where so few numbers in a row cannot be read, they are given up."""
@@ -31,6 +41,28 @@ _CRC_BYTES = (4, 6, 8, 3, 2, 1)
 """Sizes of a whole number in SQLite's record format (https://www.sqlite.org/fileformat2.html#record_format)."""
 
 Row = tuple[object, ...]
+
+
+def start_afresh(path: Path, up_to: int) -> tuple[sqlite3.Connection, Path, int]:
+    """Set a damaged journal aside under a name of its own, and begin a new one with what can be read of it.
+
+    Args:
+        path: the damaged file, with its log beside it.
+        up_to: no number above this one was ever used.
+
+    Returns:
+        The new journal, the damaged one's new name, and how many readings were carried over.
+
+    Raises:
+        OSError: the disk refuses.
+        sqlite3.Error: the same, said by SQLite.
+    """
+    aside = set_aside(path)
+    db = open_file(path)
+    with transaction(db):
+        count = db.executemany(INSERT, salvage(aside, up_to)).rowcount
+    forget_old_quarantine(path)
+    return db, aside, max(0, count)
 
 
 def salvage(path: Path, up_to: int) -> Iterator[Row]:
@@ -64,12 +96,6 @@ def salvage(path: Path, up_to: int) -> Iterator[Row]:
             yield found[sequence]
     for suffix in ("-wal", "-shm", ""):
         patched.with_name(patched.name + suffix).unlink(missing_ok=True)
-
-
-def is_sound(row: Row) -> bool:
-    """Whether a row, with the columns of COLUMNS, holds what was once written."""
-    sequence, _, conductor, _, text, crc, fate, _ = row
-    return checksum(sequence, conductor, text) == crc and fate != "damaged"
 
 
 def _owed_if_unsure(row: Row) -> Row:

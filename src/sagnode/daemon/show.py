@@ -14,7 +14,8 @@ from typing import Any
 
 from sagnode import __version__
 from sagnode.daemon.files import write_atomic
-from sagnode.daemon.journal import Backlog, Journal
+from sagnode.daemon.journal import Journal
+from sagnode.daemon.journal_table import Backlog
 from sagnode.daemon.ladder import Ladder
 from sagnode.daemon.link import Link
 from sagnode.daemon.logs import Seldom
