@@ -3,7 +3,8 @@
     python deploy/build_deb.py [--suite bookworm|trixie ...] [--arch arm64|amd64 ...] [--out build]
 
 Needs dpkg-deb and the network; neither root nor a compiler, and no machine of the kind it is for. The same commit gives
-the same package: all times in it are the commit's.
+the same package: all times in it are the commit's. DEBFULLNAME and DEBEMAIL say who answers for it (Maintainer); set
+them for packages that are handed on.
 """
 
 from __future__ import annotations
@@ -26,6 +27,8 @@ from targets import HERE, MACHINES, ROOT, SUITES, Suite
 
 DEBIAN = HERE / "debian"
 PREFIX = "usr/lib/sagnode"
+NOBODY = "sagnode@packages.invalid"
+"""An address that cannot be (RFC 2606): nobody has said yet who answers for packages that are handed on."""
 SCRIPTS = ("postinst", "prerm", "postrm")
 
 
@@ -60,6 +63,8 @@ def _add_files(tree: Path, suite: Suite, number: str) -> None:
     enrol = tree / "usr/sbin/sagnode-enrol"
     enrol.parent.mkdir(parents=True)
     shutil.copy(HERE / "certificates" / "sagnode-enrol", enrol)
+    # For install.sh --from; where apt installed the package, apt renews it.
+    shutil.copy(HERE / "update.py", tree / PREFIX)
     doc = tree / "usr/share/doc/sagnode"
     (doc / "examples").mkdir(parents=True)
     for template in ("node.toml", "span.toml"):
@@ -68,9 +73,10 @@ def _add_files(tree: Path, suite: Suite, number: str) -> None:
     shutil.copy(DEBIAN / "copyright", doc)
     _gzip(doc / "changelog.gz", _debian_changelog(number))
     _gzip(doc / "NEWS.gz", (ROOT / "CHANGELOG.md").read_text(encoding="utf-8"))
-    manual = tree / "usr/share/man/man1"
-    manual.mkdir(parents=True)
-    _gzip(manual / "sagnode.1.gz", (DEBIAN / "sagnode.1").read_text(encoding="utf-8"))
+    for page in DEBIAN.glob("*.[18]"):
+        manual = tree / "usr/share/man" / f"man{page.suffix[1:]}"
+        manual.mkdir(parents=True)
+        _gzip(manual / f"{page.name}.gz", page.read_text(encoding="utf-8"))
     overrides = tree / "usr/share/lintian/overrides/sagnode"
     overrides.parent.mkdir(parents=True)
     shutil.copy(DEBIAN / "lintian-overrides", overrides)
@@ -83,6 +89,7 @@ def _add_control(tree: Path, suite: Suite, arch: str, number: str) -> None:
     fields = {
         "@VERSION@": number,
         "@ARCH@": arch,
+        "@MAINTAINER@": _maintainer(),
         "@PYTHON@": f"python3 (>= {suite.python}), python3 (<< {major}.{int(minor) + 1})",
         "@SIZE@": str(sum(file.lstat().st_size for file in tree.rglob("*") if not file.is_dir()) // 1024),
     }
@@ -130,10 +137,14 @@ def _epoch() -> str:
 
 def _debian_changelog(number: str) -> str:
     when = format_datetime(datetime.fromtimestamp(int(_epoch()), UTC))
-    control = (DEBIAN / "control").read_text(encoding="utf-8")
-    who = next(line for line in control.splitlines() if line.startswith("Maintainer: ")).removeprefix("Maintainer: ")
     what = "  * See NEWS.gz in this directory."
-    return f"sagnode ({number}) stable; urgency=medium\n\n{what}\n\n -- {who}  {when}\n"
+    return f"sagnode ({number}) stable; urgency=medium\n\n{what}\n\n -- {_maintainer()}  {when}\n"
+
+
+def _maintainer() -> str:
+    """Who answers for the package: whoever builds it, as Debian's tools ask for it."""
+    name, address = os.environ.get("DEBFULLNAME") or "The sagnode authors", os.environ.get("DEBEMAIL") or NOBODY
+    return f"{name} <{address}>"
 
 
 def _gzip(file: Path, text: str) -> None:

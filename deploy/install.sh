@@ -12,13 +12,16 @@
 # the one before it stays. A new one is looked over with its own doctor before anything is switched, and when the service
 # does not become ready with it, or does not stay so for SETTLE_S seconds (20), the old one is put back by itself.
 # An existing configuration in /etc/sagnode is never touched. Works in a chroot or container without systemd running.
+# Where there is no checkout this script is /opt/sagnode/current/install.sh.
 set -euo pipefail
 
 HERE=$(cd "$(dirname "$0")/.." && pwd)
+SELF=$(readlink -f "$0")
 OPT=/opt/sagnode
 ETC=/etc/sagnode
 STATE=/var/lib/sagnode
 COMMAND=/usr/local/bin/sagnode
+ENROL=/usr/local/sbin/sagnode-enrol
 UNITS=/etc/systemd/system
 NEEDED_MB=700
 SETTLE_S=${SETTLE_S:-20}
@@ -147,6 +150,8 @@ build_release() {
 	else
 		pip_release
 	fi
+	# For the step back and for updates, where there is no checkout.
+	run cp "$SELF" "$release/install.sh"
 	run "$release/venv/bin/python" -c 'import cv2, numpy, pydantic, paho.mqtt.client, apscheduler, sagnode' ||
 		fail "the new release does not work on this machine; nothing was changed"
 	# The service may not write here, so that its imports would be compiled anew at every start.
@@ -162,6 +167,7 @@ unpack_release() {
 	run find "$release/unpacked" -path '*/systemd/system/*' -type f -exec cp {} "$release/systemd/" \;
 	run sed -i "s,/usr/bin/sagnode,$COMMAND," "$release/systemd/sagnode.service"
 	run cp "$release/unpacked/usr/share/doc/sagnode/README.md" "$release/"
+	run cp "$release/unpacked/usr/sbin/sagnode-enrol" "$release/unpacked/usr/lib/sagnode/update.py" "$release/"
 	run rm -rf "$release/unpacked"
 }
 
@@ -189,7 +195,7 @@ pip_release() {
 	run "${pip[@]}" uninstall --quiet --yes setuptools
 	run rm -rf "$source"
 	run cp -r "$HERE/systemd" "$release/systemd"
-	run cp "$HERE/README.md" "$HERE/LICENSE" "$release/"
+	run cp "$HERE/README.md" "$HERE/LICENSE" "$HERE/deploy/certificates/sagnode-enrol" "$HERE/deploy/update.py" "$release/"
 }
 
 # Looks with the new release at what the old one works with; nothing has been switched yet.
@@ -221,8 +227,9 @@ look_over() {
 point_to() {
 	run ln -sfn "$1" "$OPT/current.new"
 	run mv -T "$OPT/current.new" "$OPT/current"
-	run mkdir -p "$(dirname "$COMMAND")" "$UNITS"
+	run mkdir -p "$(dirname "$COMMAND")" "$(dirname "$ENROL")" "$UNITS"
 	run ln -sfn "$OPT/current/venv/bin/sagnode" "$COMMAND"
+	run ln -sfn "$OPT/current/sagnode-enrol" "$ENROL"
 	if [ "$dry_run" = yes ]; then
 		run install -m 0644 "$OPT/current/systemd/sagnode.service" "$UNITS/sagnode.service"
 	else
@@ -336,16 +343,20 @@ rollback() {
 }
 
 uninstall() {
+	local link
 	needs_root --uninstall
 	if has_systemd && [ -e "$UNITS/sagnode.service" ]; then
-		! systemd_runs || run systemctl stop sagnode.service sagnode-reboot.path
-		run systemctl --quiet disable sagnode.service
+		! systemd_runs || run systemctl stop sagnode.service sagnode-reboot.path sagnode-update.timer
+		run systemctl --quiet disable sagnode.service sagnode-update.timer
 	fi
-	run rm -rf "$UNITS"/sagnode.service "$UNITS"/sagnode-reboot.{path,service} "$UNITS"/sagnode.service.d "$OPT"
-	[ ! -L "$COMMAND" ] || run rm -f "$COMMAND"
+	run rm -rf "$UNITS"/sagnode.service "$UNITS"/sagnode-reboot.{path,service} "$UNITS"/sagnode-update.{timer,service} \
+		"$UNITS"/sagnode.service.d "$OPT"
+	for link in "$COMMAND" "$ENROL"; do
+		[ ! -L "$link" ] || run rm -f "$link"
+	done
 	! systemd_runs || run systemctl daemon-reload
 	if [ "$purge" = yes ]; then
-		run rm -rf "$ETC" "$STATE"
+		run rm -rf "$ETC" "$STATE" "$STATE-update"
 		! getent passwd sagnode >/dev/null || run userdel sagnode
 		say "removed, with configuration, readings and user"
 	else

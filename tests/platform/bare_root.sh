@@ -84,16 +84,33 @@ boot() {
 	git clone --quiet "$HERE" "$ROOT-systemd/home/sagnode-clone"
 	IN=$ROOT-systemd in_root 'bash /home/sagnode-clone/deploy/install.sh --uninstall --purge && bash /home/sagnode-clone/deploy/install.sh'
 	make_updates
-	cp "$HERE/tests/platform/booted.sh" "$ROOT-systemd/root/booted.sh"
-	cat >"$ROOT-systemd/etc/systemd/system/look.service" <<-'U'
-		[Service]
-		Type=oneshot
-		ExecStart=/bin/sh -c 'bash /root/booted.sh >/root/booted.log 2>&1; systemctl exit $?'
-	U
-	SYSTEMD_NSPAWN_UNIFIED_HIERARCHY=1 timeout 600 systemd-nspawn --quiet --directory="$ROOT-systemd" --boot --register=no \
-		--keep-unit --private-network --console=pipe systemd.wants=look.service </dev/null >"$WORK/boot.log" 2>&1 || true
+	boot_with booted.sh >/dev/null || true
 	cat "$ROOT-systemd/root/booted.log"
 	grep -q '^BOOTED FINE' "$ROOT-systemd/root/booted.log"
+	# systemd-nspawn ends with 133 when what runs in it asks for a restart.
+	local said=0
+	boot_with booted_reboot.sh ask || said=$?
+	[ "$said" = 133 ] || {
+		cat "$ROOT-systemd/root/booted.log"
+		echo "FAIL  the machine ended with $said instead of a restart"
+		return 1
+	}
+	boot_with booted_reboot.sh after || true
+	cat "$ROOT-systemd/root/booted.log"
+	grep -q '^REBOOT FINE' "$ROOT-systemd/root/booted.log"
+}
+
+# boot_with SCRIPT [WORD...]: the root booted; a script of this directory runs in it and ends it. Its words: booted.log.
+boot_with() {
+	cp "$HERE/tests/platform/$1" "$ROOT-systemd/root/"
+	rm -f "$ROOT-systemd/root/booted.log"
+	cat >"$ROOT-systemd/etc/systemd/system/look.service" <<-U
+		[Service]
+		Type=oneshot
+		ExecStart=/bin/sh -c 'bash /root/$* >/root/booted.log 2>&1; systemctl exit \$?'
+	U
+	SYSTEMD_NSPAWN_UNIFIED_HIERARCHY=1 timeout 900 systemd-nspawn --quiet --directory="$ROOT-systemd" --boot --register=no \
+		--keep-unit --private-network --console=pipe systemd.wants=look.service </dev/null >"$WORK/boot-$suite.log" 2>&1
 }
 
 # The package of this suite and machine.

@@ -154,6 +154,43 @@ ok "one that had changed the journal's form before: the journal is back too, non
 SETTLE_S=5 bash /packages/install.sh --rollback >/root/update.log 2>&1 || fail "$(cat /root/update.log)"
 [ "$(version)" = "$first" ] && systemctl is-active --quiet sagnode || fail "after the step back: $(version)"
 ok "a step back to $(version)"
+
+# The same by the timer, out of a directory with a signed list.
+repository=/root/repository
+mkdir -p "$repository" /run/systemd/system/sagnode-update.{service,timer}.d
+for key in update other; do
+	openssl genpkey -algorithm EC -pkeyopt ec_paramgen_curve:P-256 -out "/root/$key.key" 2>/dev/null
+done
+openssl pkey -in /root/update.key -pubout -out /etc/sagnode/update.pub
+printf 'from = "%s"\nkey = "update.pub"\n' "$repository" >/etc/sagnode/update.toml
+# offer RELEASE VERSION KEY
+offer() {
+	cp "/packages/$1.deb" "$repository/sagnode_$2+deb$(. /etc/os-release && echo "$VERSION_ID")_$(dpkg --print-architecture).deb"
+	(cd "$repository" && sha256sum sagnode_*.deb >SHA256SUMS && openssl dgst -sha256 -sign "/root/$3.key" -out SHA256SUMS.sig SHA256SUMS)
+}
+told() { journalctl --no-pager -b -o cat -u sagnode-update | grep -q "$1" || fail "the update does not say: $1: $(journalctl --no-pager -b -o cat -u sagnode-update -n 20)"; }
+is_version() { [ "$(version)" = "$1" ] && systemctl is-active --quiet sagnode; }
+printf '[Service]\nEnvironment=SETTLE_S=5\n' >/run/systemd/system/sagnode-update.service.d/quick.conf
+printf '[Timer]\nOnCalendar=\nRandomizedDelaySec=0\nOnActiveSec=1s\nAccuracySec=1s\n' >/run/systemd/system/sagnode-update.timer.d/quick.conf
+systemctl daemon-reload
+[ "$(systemctl is-enabled sagnode-update.timer)" = disabled ] || fail 'the timer is on without being asked for'
+offer good 0.90.1 other
+! systemctl start sagnode-update 2>/dev/null || fail 'a list signed with another key was believed'
+told 'is not signed with'
+is_version "$first" || fail "after a list of another key: $(version)"
+ok 'an update whose list another key signed is refused'
+offer good 0.90.1 update
+systemctl --quiet enable --now sagnode-update.timer || fail 'the timer does not start'
+until_true 120 "the timer brings the release of a signed list: from $first to 0.90.1" is_version 0.90.1
+while [ "$(systemctl is-active sagnode-update)" = activating ]; do sleep 0.5; done
+told "0.90.1 follows $first"
+systemctl --quiet disable --now sagnode-update.timer
+offer broken 0.90.2 update
+! systemctl start sagnode-update 2>/dev/null || fail 'a release that does not start was taken'
+is_version 0.90.1 || fail "after a broken update: $(version)"
+systemctl start sagnode-update || fail 'what was refused is tried again'
+told 'is the latest .* that ran here'
+ok 'one that does not become ready is put back and not tried again'
 sagnode doctor --skip camera || fail 'doctor finds a fault'
 systemctl stop sagnode
 
