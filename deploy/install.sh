@@ -343,12 +343,14 @@ rollback() {
 }
 
 uninstall() {
-	local link
+	local link unit
 	needs_root --uninstall
-	if has_systemd && [ -e "$UNITS/sagnode.service" ]; then
-		! systemd_runs || run systemctl stop sagnode.service sagnode-reboot.path sagnode-update.timer
-		run systemctl --quiet disable sagnode.service sagnode-update.timer
-	fi
+	for unit in sagnode-update.timer sagnode.service sagnode-reboot.path; do
+		if has_systemd && [ -e "$UNITS/$unit" ]; then
+			! systemd_runs || run systemctl stop "$unit"
+			run systemctl --quiet disable "$unit"
+		fi
+	done
 	run rm -rf "$UNITS"/sagnode.service "$UNITS"/sagnode-reboot.{path,service} "$UNITS"/sagnode-update.{timer,service} \
 		"$UNITS"/sagnode.service.d "$OPT"
 	for link in "$COMMAND" "$ENROL"; do

@@ -3,7 +3,7 @@
     sudo python3 -I /opt/sagnode/current/update.py [--check]      --check: say what would be done
     (systemctl enable --now sagnode-update.timer does it once a day)
 
-    from = "https://updates.example.org/sagnode"    # or a directory: "/media/stick/sagnode"
+    from = "https://updates.example.org/sagnode"    # or a directory, not below /home, /root or /tmp
     key = "update.pub"                              # beside this file: who signs releases
 
 There lie packages (make deb), SHA256SUMS of them, and SHA256SUMS.sig, made where the private key is:
@@ -100,7 +100,8 @@ def fetch(source: Source, name: str, to: Path, limit: int) -> str:
                 digest.update(block)
                 file.write(block)
     except (OSError, urllib.error.URLError) as error:
-        raise Fault(f"{source.place}/{name}: {getattr(error, 'reason', None) or error}") from None
+        words = getattr(error, "reason", None) or error.strerror or error
+        raise Fault(f"{source.place}/{name}: {words}") from None
     return digest.hexdigest()
 
 

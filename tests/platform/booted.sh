@@ -156,7 +156,7 @@ SETTLE_S=5 bash /packages/install.sh --rollback >/root/update.log 2>&1 || fail "
 ok "a step back to $(version)"
 
 # The same by the timer, out of a directory with a signed list.
-repository=/root/repository
+repository=/srv/repository
 mkdir -p "$repository" /run/systemd/system/sagnode-update.{service,timer}.d
 for key in update other; do
 	openssl genpkey -algorithm EC -pkeyopt ec_paramgen_curve:P-256 -out "/root/$key.key" 2>/dev/null
