@@ -13,13 +13,15 @@
 #   deb        the package of "make deb": installed, a reading, upgraded, stepped back, removed, purged
 #   install    deploy/install.sh, again (an upgrade), --uninstall, --uninstall --purge
 #   picamera2  the picamera2 back end on the real Picamera2 and libcamera's virtual camera (trixie; +350 MB)
-#   boot       the same root booted with systemd: the service is started, looked at, killed, stopped
+#   boot       the same root booted with systemd: the service is started, looked at, killed, updated, stopped; the machine
+#              is restarted when no reading comes
+#   boot-package   the same with the package, for ARCH=arm64: comes up by itself, measures, its worker killed, stopped
 set -euo pipefail
 HERE=$(cd "$(dirname "$0")/../.." && pwd)
 WORK=${WORK:-/var/tmp/sagnode-roots}
 suite=${1:-}
 case $suite in bookworm | trixie) ;; *)
-	sed -n '2,16s/^# \{0,1\}//p' "$0"
+	sed -n '2,18s/^# \{0,1\}//p' "$0"
 	exit 2
 	;;
 esac
@@ -75,11 +77,15 @@ timed() {
 	printf '=== took %s s\n\n' "$(($(date +%s) - began))"
 }
 
-boot() {
+make_booted_root() {
 	[ -d "$ROOT-systemd" ] || {
 		cp -a --reflink=auto "$ROOT" "$ROOT-systemd"
 		IN=$ROOT-systemd in_root 'apt-get update -qq && DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends systemd systemd-sysv dbus procps >/dev/null'
 	}
+}
+
+boot() {
+	make_booted_root
 	rm -rf --one-file-system "$ROOT-systemd/home/sagnode-clone"
 	git clone --quiet "$HERE" "$ROOT-systemd/home/sagnode-clone"
 	IN=$ROOT-systemd in_root 'bash /home/sagnode-clone/deploy/install.sh --uninstall --purge && bash /home/sagnode-clone/deploy/install.sh'
@@ -100,6 +106,32 @@ boot() {
 	grep -q '^REBOOT FINE' "$ROOT-systemd/root/booted.log"
 }
 
+# The package's service on another processor, with the demonstration's noon for a camera.
+boot_package() {
+	local package site
+	package=$(find_package)
+	make_booted_root
+	rm -rf --one-file-system "$ROOT-systemd/packages"
+	mkdir -p "$ROOT-systemd/packages"
+	cp "$package" "$ROOT-systemd/packages/sagnode.deb"
+	IN=$ROOT-systemd in_root 'export DEBIAN_FRONTEND=noninteractive
+		! dpkg-query -W sagnode >/dev/null 2>&1 || apt-get purge -y -qq sagnode
+		apt-get update -qq && apt-get install -y -qq --no-install-recommends /packages/sagnode.deb'
+	site=$ROOT-systemd/etc/sagnode
+	cp "$HERE"/src/sagnode/demo/site/{span.toml,camera.yaml,reference.jpg} "$site/"
+	mkdir -p "$site/frames" "$ROOT-systemd/etc/systemd/system.conf.d" "$ROOT-systemd/etc/systemd/system/sagnode.service.d"
+	cp "$HERE"/src/sagnode/demo/site/frames/20260621T1{1,2,3}*.jpg "$site/frames/"
+	# Without the broker, and with an emulator's patience.
+	sed '/^\[mqtt\]/,$d; s/^interval_s = .*/interval_s = 90\ndeadline_s = 85/' "$HERE/tests/platform/vm_node.toml" >"$site/node.toml"
+	chmod -R a+rX "$site"
+	printf '[Service]\nTimeoutStartSec=400\nWatchdogSec=400\nPrivateUsers=no\nPrivateIPC=no\n' \
+		>"$ROOT-systemd/etc/systemd/system/sagnode.service.d/emulated.conf"
+	printf '[Manager]\n%s\n' "${QEMU_CPU:+DefaultEnvironment=QEMU_CPU=$QEMU_CPU}" >"$ROOT-systemd/etc/systemd/system.conf.d/emulated.conf"
+	LIMIT_S=1500 boot_with booted_arm.sh || true
+	cat "$ROOT-systemd/root/booted.log"
+	grep -q '^BOOTED FINE' "$ROOT-systemd/root/booted.log"
+}
+
 # boot_with SCRIPT [WORD...]: the root booted; a script of this directory runs in it and ends it. Its words: booted.log.
 boot_with() {
 	cp "$HERE/tests/platform/$1" "$ROOT-systemd/root/"
@@ -109,8 +141,8 @@ boot_with() {
 		Type=oneshot
 		ExecStart=/bin/sh -c 'bash /root/$* >/root/booted.log 2>&1; systemctl exit \$?'
 	U
-	SYSTEMD_NSPAWN_UNIFIED_HIERARCHY=1 timeout 900 systemd-nspawn --quiet --directory="$ROOT-systemd" --boot --register=no \
-		--keep-unit --private-network --console=pipe systemd.wants=look.service </dev/null >"$WORK/boot-$suite.log" 2>&1
+	SYSTEMD_NSPAWN_UNIFIED_HIERARCHY=1 timeout "${LIMIT_S:-900}" systemd-nspawn --quiet --directory="$ROOT-systemd" --boot \
+		--register=no ${QEMU_CPU:+--setenv=QEMU_CPU="$QEMU_CPU"} --keep-unit --private-network --console=pipe systemd.wants=look.service </dev/null >"$ROOT-systemd.log" 2>&1
 }
 
 # The package of this suite and machine.
@@ -222,6 +254,7 @@ for step in "$@"; do
 	deb) timed "package on $suite $ARCH" run_deb ;;
 	picamera2) timed 'picamera2 on a virtual camera' run_picamera2 ;;
 	boot) timed 'booted with systemd' boot ;;
+	boot-package) timed "the package's service on $ARCH" boot_package ;;
 	*)
 		echo "unknown step $step" >&2
 		exit 2

@@ -169,7 +169,7 @@ offer() {
 	(cd "$repository" && sha256sum sagnode_*.deb >SHA256SUMS && openssl dgst -sha256 -sign "/root/$3.key" -out SHA256SUMS.sig SHA256SUMS)
 }
 told() { journalctl --no-pager -b -o cat -u sagnode-update | grep -q "$1" || fail "the update does not say: $1: $(journalctl --no-pager -b -o cat -u sagnode-update -n 20)"; }
-is_version() { [ "$(version)" = "$1" ] && systemctl is-active --quiet sagnode; }
+is_version() { [ "$(sagnode --version)" = "sagnode $1" ] && systemctl is-active --quiet sagnode; }
 printf '[Service]\nEnvironment=SETTLE_S=5\n' >/run/systemd/system/sagnode-update.service.d/quick.conf
 printf '[Timer]\nOnCalendar=\nRandomizedDelaySec=0\nOnActiveSec=1s\nAccuracySec=1s\n' >/run/systemd/system/sagnode-update.timer.d/quick.conf
 systemctl daemon-reload

@@ -39,11 +39,11 @@ after)
 	ok "no camera: the service was started anew, then the machine; the service is up again by itself"
 	[ "$(recovery reboots)" = 1 ] || fail "restarts of the machine that are remembered: $(recovery reboots)"
 	[ ! -e /run/sagnode/reboot-wanted ] || fail 'the request is still there'
-	# Long enough for the service's own restart, after which only the second restart of the machine would be left.
+	# Long enough for more faults than the first restart took. A container has the boot id of the machine below, so that the
+	# ladder goes on where it stood: at the next restart of the machine, which is not due yet.
 	sleep 25
 	systemctl is-active --quiet sagnode || fail 'the service gave up'
-	[ "$(recovery reboots)" = 1 ] && [ "$(recovery restarts)" = 1 ] || fail "$(cat /var/lib/sagnode/recovery.json)"
-	[ "$(systemctl show --value -p NRestarts sagnode)" -ge 1 ] || fail 'the service was not started anew after the restart'
+	[ "$(recovery reboots)" = 1 ] || fail "$(cat /var/lib/sagnode/recovery.json)"
 	ok 'it goes on without a camera; the next restart of the machine waits for twice as long'
 	echo 'REBOOT FINE'
 	;;

@@ -56,3 +56,23 @@ def test_what_a_lane_said_is_shown_and_a_failure_is_one(
     assert "| FAILED |" in lanes.DOCUMENT.read_text()
     assert json.loads((lanes.KEPT / "good.json").read_text())["result"] == "fine"
     assert lanes.main(["nonsense"]) == 2
+
+
+def test_what_cannot_run_here_is_skipped_aloud_where_that_is_asked_for(
+    lanes: ModuleType, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    poor = lanes.Lane("poor", "what cannot run", (("true",),), ("no-such-program",), root=False)
+    says = ("sh", "-c", "echo 'ok    half'; echo 'skipped: needs a moon'; exit 77")
+    moon = lanes.Lane("moon", "what finds out by itself", (says, ("touch", "x")), (), root=False)
+    bad = lanes.Lane("bad", "a failure", (("false",),), (), root=False)
+    monkeypatch.setattr(lanes, "lanes", lambda: (poor, moon, bad))
+    before = lanes.DOCUMENT.read_text()
+    assert lanes.main(["--possible", "poor", "moon"]) == 0
+    said = capfd.readouterr().out
+    assert "lane poor: skipped: needs apt install no-such-program" in said
+    assert "lane moon: skipped: needs a moon" in said
+    assert lanes.main(["--possible", "moon", "bad"]) == 1
+    assert lanes.DOCUMENT.read_text() == before and not list(lanes.KEPT.glob("*.json"))
+    # without it, a lane that cannot run is a failure
+    assert lanes.main(["moon"]) == 1
+    assert "not run: needs a moon" in lanes.DOCUMENT.read_text()

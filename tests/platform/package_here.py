@@ -1,0 +1,114 @@
+"""The package of this very system, built, unpacked and used in a scratch directory: needs neither root nor a container.
+
+    python tests/platform/package_here.py
+
+Ends with 77 and one line, "skipped: needs …", where this machine cannot show it.
+"""
+
+from __future__ import annotations
+
+import json
+import platform
+import shutil
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+ROOT = Path(__file__).parents[2]
+sys.path.insert(0, str(ROOT / "deploy"))
+from targets import MACHINES, SUITES  # noqa: E402 - a script's neighbour, not a package
+
+SKIPPED = 77
+SITE = ROOT / "src/sagnode/demo/site"
+FRAME = "frames/20260621T120000Z"
+INSTALLED_MAX_MB = 300
+DEVIATIONS_MAX = 4
+"""A reading may be off by so many of its standard uncertainties; that it is honest is shown elsewhere."""
+
+
+def skip(what: str) -> int:
+    """This machine cannot show it; says what is missing."""
+    print(f"skipped: needs {what}")
+    return SKIPPED
+
+
+def ran(*words: str | Path, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
+    """Run to the end, its words kept."""
+    return subprocess.run(list(map(str, words)), capture_output=True, text=True, check=False, cwd=cwd, timeout=300)
+
+
+def fail(what: str, said: subprocess.CompletedProcess[str]) -> int:
+    """Say what went wrong, with the words of whoever met it."""
+    print(f"FAIL  {what}\n{said.stdout[-2000:]}{said.stderr[-2000:]}")
+    return 1
+
+
+def main() -> int:
+    """Build, unpack, measure, lint."""
+    suite = SUITES.get(platform.freedesktop_os_release().get("VERSION_CODENAME", ""))
+    if suite is None or not Path(f"/usr/bin/python{suite.python}").exists():
+        return skip("Debian 12 or 13, or Raspberry Pi OS, with its own python3")
+    if shutil.which("dpkg-deb") is None or shutil.which("dpkg") is None:
+        return skip("dpkg-deb")
+    arch = ran("dpkg", "--print-architecture").stdout.strip()
+    if arch not in MACHINES:
+        return skip(f"a processor of {' or '.join(MACHINES)}, and this is {arch}")
+    with tempfile.TemporaryDirectory() as scratch:
+        return _look(Path(scratch), suite.name, arch)
+
+
+def _look(scratch: Path, suite: str, arch: str) -> int:
+    words = (sys.executable, ROOT / "deploy/build_deb.py", "--suite", suite, "--arch", arch, "--out", scratch)
+    built = ran(*words)
+    if built.returncode and "pip install failed" in built.stderr + built.stdout:
+        # An index that has not these very wheels is a machine's lack; that they exist is for deploy/lock.py to know.
+        last = (built.stderr.strip() or "no word").splitlines()[-1]
+        return skip(f"the wheels of deploy/requirements-{suite}.txt from PyPI ({last.strip()[:120]})")
+    if built.returncode:
+        return fail("no package", built)
+    (package,) = scratch.glob("*.deb")
+    tree = scratch / "tree"
+    ran("dpkg-deb", "-x", package, tree)
+    size = sum(file.lstat().st_size for file in tree.rglob("*") if file.is_file()) / 1e6
+    print(f"ok    built {package.name}: {package.stat().st_size / 1e6:.0f} MB, unpacked {size:.0f} MB")
+    if size > INSTALLED_MAX_MB:
+        print(f"FAIL  more than {INSTALLED_MAX_MB} MB")
+        return 1
+    return _measure(scratch, tree) or _lint(package)
+
+
+def _measure(scratch: Path, tree: Path) -> int:
+    """A reading of the demonstration's noon by what was unpacked, against the scene's truth."""
+    site = scratch / "site"
+    shutil.copytree(SITE, site, ignore=shutil.ignore_patterns("*T0*"))
+    sagnode = tree / "usr/bin/sagnode"
+    measured = ran(sagnode, "measure", site / f"{FRAME}.jpg", "--config", site, "--json", cwd=scratch)
+    if measured.returncode:
+        return fail("no reading", measured)
+    truth = json.loads((SITE / f"{FRAME}.json").read_text(encoding="utf-8"))["conductors"]
+    numbers = [reading for reading in json.loads(measured.stdout)["readings"] if reading["sag_m"] is not None]
+    for reading in numbers:
+        sag, u, truly = reading["sag_m"], reading["sag_u"], truth[reading["conductor"]]["sag_m"]
+        off = abs(sag - truly) > DEVIATIONS_MAX * u
+        print(
+            f"{'FAIL ' if off else 'ok   '} {reading['conductor']}: sag {sag:.4f} m, u {u:.4f} m, truly {truly:.4f} m"
+        )
+        if off:
+            return 1
+    return 0 if numbers else fail("no conductor was measured", measured)
+
+
+def _lint(package: Path) -> int:
+    if shutil.which("lintian") is None:
+        print("skipped: needs lintian (the rest was shown)")
+        return 0
+    said = ran("lintian", "--allow-root", "--fail-on", "error", package)
+    if said.returncode:
+        return fail("lintian", said)
+    print("ok    lintian finds no error")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
