@@ -17,7 +17,7 @@ ask)
 	# The last restart of the machine may not be far away, and a second one must wait for twice as long: uptime here is
 	# that of the machine below.
 	wait_h=$(awk '{print $1 * 0.7 / 3600}' /proc/uptime)
-	sed -i '/^nonsense/d; /^\[camera\]/,/^\[schedule\]/c [camera]\nbackend = "v4l2"\nv4l2 = { device = "/dev/video99", width = 1456, height = 1088 }\n[schedule]' \
+	sed -i '/^nonsense/d; /^\[recovery\]/,$d; /^\[camera\]/,/^\[schedule\]/c [camera]\nbackend = "v4l2"\nv4l2 = { device = "/dev/video99", width = 1456, height = 1088 }\n[schedule]' \
 		/etc/sagnode/node.toml
 	printf '[recovery]\nrestart_after_s = 3\nrestarts_before_reboot = 1\nreboot_wait_h = %s\n' "$wait_h" >>/etc/sagnode/node.toml
 	sagnode config check --config /etc/sagnode || fail 'the configuration is refused'
