@@ -67,7 +67,7 @@ def _look(scratch: Path, suite: str, arch: str) -> int:
     words = (sys.executable, ROOT / "deploy/build_deb.py", "--suite", suite, "--arch", arch, "--out", scratch)
     built = ran(*words)
     if built.returncode and built.stderr.startswith("pip "):
-        # An index out of reach, or without these very wheels, is the machine's lack (deploy/targets.py says so in these words).
+        # An index out of reach, or without these very wheels, is the machine's lack (words: deploy/targets.py).
         last = (built.stderr.strip() or "no word").splitlines()[-1]
         return skip(f"the wheels of deploy/requirements-{suite}.txt from PyPI ({last.strip()[:120]})")
     if built.returncode:
