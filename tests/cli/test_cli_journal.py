@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from sagnode.cli.journal_rows import moment
+from sagnode.cli.journal_words import moment
 from sagnode.cli.main import main
 from sagnode.daemon.journal import Journal
 from sagnode.message import Estimate, QualityMessage, Reading, estimate_fields

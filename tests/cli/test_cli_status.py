@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from sagnode.cli.main import main
-from sagnode.cli.status import examine
+from sagnode.daemon.report import examine
 
 BOOT = Path("/proc/sys/kernel/random/boot_id").read_text().strip()
 

@@ -11,7 +11,7 @@ import pytest
 from config_files import SiteFiles
 
 from sagnode.calibrate.files import save_intrinsics
-from sagnode.config.check import Report, check
+from sagnode.check.configuration import Report, check
 from sagnode.geometry.camera import Intrinsics
 
 CONFIGS = Path(__file__).parents[2] / "configs"

@@ -12,7 +12,7 @@ from config_files import NODE, SPAN, SiteFiles
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from sagnode.config.check import check
+from sagnode.check.configuration import check
 from sagnode.config.load import LoadedNode, load_node
 from sagnode.config.show import toml_text
 from sagnode.errors import ConfigError

@@ -149,7 +149,7 @@ def test_the_command_prints_the_clicks_and_names_its_faults(tmp_path: Path, caps
 
 
 def test_a_configured_span_is_rendered_from_the_shell(tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "sagnode.scene", "render", "--config", str(SITE / "span.toml")]
+    command = [sys.executable, "-m", "sagnode", "scene", "--config", str(SITE / "span.toml")]
     done = subprocess.run([*command, "--out", str(tmp_path / "new")], capture_output=True, text=True, timeout=60)
     assert done.returncode == 0, done.stderr
     (picture,) = (tmp_path / "new").glob("*.jpg")

@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 import sagnode.cli.status  # before the user is changed to one who may not read the interpreter's own files
+from sagnode.check.configuration import check
 from sagnode.cli.main import main
-from sagnode.config.check import check
 from sagnode.config.guard import exposures
 from sagnode.config.load import load_node
 from sagnode.errors import ConfigError

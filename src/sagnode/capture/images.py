@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from sagnode.capture.headers import DamagedError, Header, read_header
 from sagnode.capture.port import GreyImage
-from sagnode.errors import FrameError
+from sagnode.errors import FrameError, SagnodeError
 from sagnode.quality import Cause
 
 MAX_PIXELS = 64_000_000
@@ -182,3 +182,17 @@ def _imdecode(buffer: NDArray[np.uint8]) -> NDArray[Any] | None:
         return cv2.imdecode(buffer, cv2.IMREAD_UNCHANGED)
     except cv2.error:
         return None
+
+
+def write_png(path: Path, picture: NDArray[Any]) -> None:
+    """Write a grey or BGR picture (height, width[, 3]) as PNG, making its directory where needed.
+
+    Raises:
+        SagnodeError: it cannot be written.
+    """
+    _, encoded = cv2.imencode(".png", picture)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(encoded.tobytes())
+    except OSError as error:
+        raise SagnodeError(f"cannot write {path}: {error.strerror}", "choose another place") from None

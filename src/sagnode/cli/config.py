@@ -64,7 +64,7 @@ def _init(directory: Path, force: bool) -> int:
 
 
 def _check(path: Path, as_json: bool) -> int:
-    from sagnode.config.check import check
+    from sagnode.check.configuration import check
 
     report = check(path)
     if as_json:

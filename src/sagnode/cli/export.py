@@ -11,7 +11,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TextIO
 
-from sagnode.cli.journal_rows import Rows, Stored, add_filters, journal_path, wanted
+from sagnode.cli.journal_words import add_filters, journal_path, wanted
+from sagnode.daemon.journal_reader import Rows, Stored
 from sagnode.errors import SagnodeError
 from sagnode.message import QUANTITIES
 

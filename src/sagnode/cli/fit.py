@@ -60,8 +60,7 @@ def pixel(text: str) -> tuple[float, float]:
 
 def run(args: argparse.Namespace) -> int:
     """Fit, print, draw."""
-    from sagnode.capture.images import read_grey
-    from sagnode.cli.pictures import write_png
+    from sagnode.capture.images import read_grey, write_png
     from sagnode.errors import FrameError
     from sagnode.match.fit import draw_fit, fit_between
 

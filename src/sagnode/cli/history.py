@@ -7,7 +7,8 @@ import json
 import sys
 from typing import Any
 
-from sagnode.cli.journal_rows import Rows, Stored, add_filters, journal_path, wanted
+from sagnode.cli.journal_words import add_filters, journal_path, wanted
+from sagnode.daemon.journal_reader import Rows, Stored
 from sagnode.message import QUANTITIES, Estimate
 
 HELP = "list readings out of the journal"

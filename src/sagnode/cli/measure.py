@@ -169,7 +169,7 @@ class _Overlays:
 
     def draw(self, shot: Shot) -> Path | None:
         """Draw one shot; None when no picture of it could be read."""
-        from sagnode.cli.pictures import write_png
+        from sagnode.capture.images import write_png
         from sagnode.overlay import draw_overlay
 
         if shot.last is None:

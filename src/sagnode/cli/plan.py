@@ -97,7 +97,7 @@ def run(args: argparse.Namespace) -> int:
     rows = _table(draft, cameras, look) if len(cameras) > 1 else []
     told = study(draft.span, best(rows).camera if rows else cameras[0], look)
     if args.picture:
-        from sagnode.cli.pictures import write_png
+        from sagnode.capture.images import write_png
         from sagnode.plan.picture import expected_view
 
         write_png(args.picture, expected_view(draft.span, told))

@@ -10,7 +10,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from sagnode.cli.journal_rows import JOURNAL, Rows, Wanted
+from sagnode.daemon.journal_reader import Rows, Wanted
+from sagnode.daemon.places import JOURNAL
 from sagnode.errors import SagnodeError
 from sagnode.message import ReadingHeader
 

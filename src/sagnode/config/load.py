@@ -1,7 +1,7 @@
 """Reads the node file and the span file; every fault of both is found in one go.
 
 This module imports neither NumPy nor OpenCV, for the daemon uses it. What needs them (the content of the calibration
-file, the geometry of the survey) is looked at by :mod:`sagnode.config.check` and by the worker.
+file, the geometry of the survey) is looked at by :mod:`sagnode.check.configuration` and by the worker.
 """
 
 from __future__ import annotations

@@ -19,12 +19,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from sagnode.daemon.journal import Journal
+from sagnode.daemon.places import JOURNAL
 from sagnode.daemon.sequence import BLOCK, Ceiling
 from sagnode.errors import DiskError, JournalError, SagnodeError
 
 log = logging.getLogger(__name__)
 
-JOURNAL = "journal.sqlite"
 VOLATILE_KEEP_MB = 32.0
 """Size limit of a journal in memory."""
 DISTRUST_AFTER_S = 60.0

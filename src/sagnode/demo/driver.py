@@ -220,7 +220,7 @@ def _pictures(loaded: LoadedNode, points: list[Point], out: Path) -> Iterator[st
 def _draw_frame(loaded: LoadedNode, at: datetime, path: Path) -> Path:
     """Measure one frame once more, all conductors in one picture, and draw it."""
     from sagnode.capture import open_source
-    from sagnode.cli.pictures import write_png
+    from sagnode.capture.images import write_png
     from sagnode.overlay import draw_overlay
     from sagnode.pipeline import load_site, measure_burst
 

@@ -17,8 +17,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from sagnode.cli.journal_rows import Rows, Wanted
 from sagnode.config.load import LoadedNode, examine
+from sagnode.daemon.journal_reader import Rows, Wanted
 from sagnode.daemon.places import runtime_directory
 from sagnode.doctor.redact import redact
 from sagnode.errors import JournalError, SagnodeError

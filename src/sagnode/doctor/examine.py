@@ -12,9 +12,10 @@ from pathlib import Path
 from typing import Any
 
 from sagnode import __version__
-from sagnode.cli import status
-from sagnode.config.check import check
+from sagnode.check.configuration import check
 from sagnode.config.load import LoadedNode
+from sagnode.daemon import places
+from sagnode.daemon import report as outside
 from sagnode.daemon.node import configured_broker
 from sagnode.doctor import findings, place, system
 from sagnode.doctor.broker import check_broker
@@ -43,7 +44,7 @@ def examine(config: Path, skip: Collection[str] = ()) -> Iterator[Finding]:
     if loaded is not None and not report.faults:
         yield ok(CONFIGURATION, f"{loaded.path} and {loaded.span_path}, id {loaded.configuration_id}")
     state_dir = state_dir_of(config)
-    said = status.examine(state_dir) if state_dir.is_dir() else None
+    said = outside.examine(state_dir) if state_dir.is_dir() else None
     running = bool(said and said["running"])
     yield _daemon(said)
     yield from place.check_state(state_dir, running=running)
@@ -82,9 +83,9 @@ def verdict(made: list[Finding]) -> str:
 def state_dir_of(config: Path) -> Path:
     """Of the node file, however broken that is; then the service's."""
     try:
-        return status.configured_state_dir(config)
+        return places.configured_state_dir(config)
     except ConfigError:
-        return status.SERVICE_STATE
+        return places.SERVICE_STATE
 
 
 def _daemon(said: dict[str, Any] | None) -> Finding:

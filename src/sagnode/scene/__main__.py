@@ -1,6 +1,6 @@
-"""``python -m sagnode.scene``: ``render`` (the same as ``sagnode scene``), and ``demo`` (remakes the demo's frames).
+"""``python -m sagnode.scene demo`` remakes the demonstration's frames; frames of other spans: ``sagnode scene``.
 
-``demo`` gives the same bytes again with the same versions of NumPy and OpenCV on the same kind of processor. Another
+It gives the same bytes again with the same versions of NumPy and OpenCV on the same kind of processor. Another
 NumPy or another instruction set may round an exponential differently in the last place, which moves a few pixels by one
 grey level; another OpenCV may write the same picture as other JPEG bytes.
 """
@@ -15,19 +15,13 @@ from pathlib import Path
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command line; returns the exit code (0 fine, 1 failed, 2 usage or bad configuration)."""
-    words = list(sys.argv[1:] if argv is None else argv)
-    if words[:1] == ["render"]:
-        from sagnode.cli.main import main as sagnode
-
-        return sagnode(["scene", *words[1:]])
     parser = argparse.ArgumentParser(prog="python -m sagnode.scene", description=(__doc__ or "").split("\n\n")[0])
     commands = parser.add_subparsers(dest="command", required=True)
-    commands.add_parser("render", help="frames of any configured span; see: sagnode scene --help", add_help=False)
     demo = commands.add_parser("demo", help="reference picture and frames of the demonstration's day")
     demo.add_argument("--out", type=Path, required=True, metavar="DIR", help="gets reference.jpg and frames/")
     demo.add_argument("--site", type=Path, metavar="DIR", help="where span.toml and camera.yaml are")
     demo.add_argument("--clicks", action="store_true", help="only print the landmarks' pixels for span.toml")
-    args = parser.parse_args(words)
+    args = parser.parse_args(argv)
     return _demo(args.out, args.site, only_clicks=args.clicks)
 
 

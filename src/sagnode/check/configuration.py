@@ -61,7 +61,7 @@ def _look_at_span(document: Document, loaded: LoadedNode | LoadedSpan) -> tuple[
     span = loaded.span
     try:
         from sagnode.calibrate.files import load_intrinsics
-        from sagnode.config.sightlines import reference_fault, survey_warnings
+        from sagnode.check.sightlines import reference_fault, survey_warnings
     except ImportError as error:
         text = f"the calibration file and the geometry were not looked at, for {error.name} cannot be imported"
         return [], [document.fault((), text)]

@@ -1,6 +1,6 @@
 """Are the landmarks of a survey enough, and do they agree with the surveyed camera and among themselves?
 
-Needs NumPy, as :mod:`sagnode.config.sightlines` does.
+Needs NumPy, as :mod:`sagnode.check.sightlines` does.
 """
 
 from __future__ import annotations

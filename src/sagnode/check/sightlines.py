@@ -1,6 +1,6 @@
 """What the surveyed camera would see of the surveyed span: warnings about a survey that contradicts itself.
 
-Needs NumPy; :mod:`sagnode.config.check` imports it only where that is installed.
+Needs NumPy; :mod:`sagnode.check.configuration` imports it only where that is installed.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from sagnode.config.landmark_sights import landmark_warnings
+from sagnode.check.landmark_sights import landmark_warnings
 from sagnode.config.lines import KeyPath
 from sagnode.config.span import Conductor, Span
 from sagnode.errors import FrameError
