@@ -64,6 +64,7 @@ def _add_files(tree: Path, suite: Suite, number: str) -> None:
     enrol.parent.mkdir(parents=True)
     shutil.copy(HERE / "certificates" / "sagnode-enrol", enrol)
     # For install.sh --from; where apt installed the package, apt renews it.
+    (tree / PREFIX).mkdir(parents=True, exist_ok=True)
     shutil.copy(HERE / "update.py", tree / PREFIX)
     doc = tree / "usr/share/doc/sagnode"
     (doc / "examples").mkdir(parents=True)
