@@ -15,7 +15,8 @@ from sagnode.config.faults import Fault
 from sagnode.config.guard import exposures
 from sagnode.config.lines import KeyPath
 from sagnode.config.load import LoadedNode, LoadedSpan, examine
-from sagnode.config.node import Mqtt, Node
+from sagnode.config.mqtt import Mqtt
+from sagnode.config.node import Node
 from sagnode.config.span import Span
 from sagnode.errors import ConfigError
 

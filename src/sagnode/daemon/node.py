@@ -4,37 +4,32 @@ from __future__ import annotations
 
 import logging
 import os
-from dataclasses import dataclass
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 
 from sagnode import __version__
 from sagnode.config.load import LoadedNode
-from sagnode.config.node import Mqtt, Node
+from sagnode.config.node import Node
 from sagnode.daemon import notify
-from sagnode.daemon.broker import Broker
-from sagnode.daemon.clock import Clock, SystemClock, VirtualClock
+from sagnode.daemon.clock import SystemClock, VirtualClock
 from sagnode.daemon.commands import Inbox
 from sagnode.daemon.dialogue import configured_dialogue
-from sagnode.daemon.journal import Journal
 from sagnode.daemon.ladder import Ladder, Steps
 from sagnode.daemon.link import Link
 from sagnode.daemon.loop import Ending, Loop, Orders, Parts
 from sagnode.daemon.machine import Machine
-from sagnode.daemon.outbox import Outbox
 from sagnode.daemon.past import configured_trend, recent_readings
 from sagnode.daemon.pictures import Pictures
 from sagnode.daemon.places import runtime_directory, state_directory
 from sagnode.daemon.recorder import Recorder
 from sagnode.daemon.reload import Reloader
 from sagnode.daemon.schedule import Schedule
-from sagnode.daemon.session import Terms
 from sagnode.daemon.show import Facts, Showcase
 from sagnode.daemon.spool import Spool
 from sagnode.daemon.stamp import Stamp
-from sagnode.daemon.store import VOLATILE_KEEP_MB, Stores
-from sagnode.errors import ConfigError
-from sagnode.message import Identity, StatusMessage
+from sagnode.daemon.store import VOLATILE_KEEP_MB, Store, Stores
+from sagnode.daemon.uplink import Wording, configured_link, topic_prefix
 from sagnode.worker.supervisor import Limits, Supervisor, command_line
 
 log = logging.getLogger(__name__)
@@ -99,44 +94,18 @@ def _run_once(
         status_dir = runtime_directory() or state_dir
         machine = Machine()
         clock = VirtualClock(datetime.now(UTC)) if node.schedule.clock == "virtual" else SystemClock()
-        wording = _Wording(loaded, machine.boot_id(), clock)
+        wording = Wording(loaded, machine.boot_id(), clock)
         conductors = {c.id: c.phase for c in loaded.span.conductors if c.measured}
         inbox = Inbox(node.commands.per_minute, now=clock.now) if node.mqtt and node.commands.enabled else None
-        link = _link(node.mqtt, prefix, journal, schedule, wording, inbox) if node.mqtt else None
+        link = configured_link(node.mqtt, prefix, journal, schedule, wording, inbox) if node.mqtt else None
         if inbox is not None and link is not None:
             inbox.answer_by(link.say)
         past = recent_readings(journal, len(conductors))
-        worker = Supervisor(
-            command_line(loaded.path),
-            Limits(
-                deadline_s=node.schedule.deadline_s,
-                max_readings=node.worker.max_readings,
-                memory_max_mb=node.worker.memory_max_mb,
-                backoff_max_s=node.worker.backoff_max_s,
-            ),
-            beat=lambda: _beat(watchdog, orders),
-            configuration=loaded.snapshot(),
-        )
-        recorder = Recorder(
-            journal,
-            owed=link is not None,
-            keep_days=node.storage.keep_days,
-            keep_mb=min(node.storage.keep_mb, VOLATILE_KEEP_MB) if store.volatile else node.storage.keep_mb,
-            spool=Spool(status_dir / "spool"),
-        )
+        worker = _worker(loaded, watchdog, orders)
+        recorder = _recorder(node, store, status_dir)
         ladder = _ladder(node, notifier, wording.boot_id, state_dir)
         showcase = Showcase(
-            Facts(
-                identity=wording.identity,
-                configuration=loaded.path,
-                configuration_id=loaded.configuration_id,
-                state_dir=state_dir,
-                status_dir=status_dir,
-                boot_id=wording.boot_id,
-                virtual_clock=node.schedule.clock == "virtual",
-                deadline_s=node.schedule.deadline_s,
-                conductors=tuple(conductors),
-            ),
+            _facts(loaded, wording, state_dir, status_dir, tuple(conductors)),
             worker=worker,
             recorder=recorder,
             journal=journal,
@@ -153,15 +122,7 @@ def _run_once(
             clock=clock,
             deadline_s=node.schedule.deadline_s,
             worker=worker,
-            stamp=Stamp(
-                identity=wording.identity,
-                conductors=conductors,
-                method=node.measure.method,
-                configuration_id=loaded.configuration_id,
-                software_version=__version__,
-                boot_id=wording.boot_id,
-                test=node.unit.commissioning,
-            ),
+            stamp=_stamp(loaded, wording, conductors),
             recorder=recorder,
             link=link,
             pictures=pictures if node.storage.pictures else None,
@@ -193,6 +154,56 @@ def _run_once(
         return ending
 
 
+def _worker(loaded: LoadedNode, watchdog: notify.Watchdog, orders: Orders) -> Supervisor:
+    node = loaded.node
+    limits = Limits(
+        deadline_s=node.schedule.deadline_s,
+        max_readings=node.worker.max_readings,
+        memory_max_mb=node.worker.memory_max_mb,
+        backoff_max_s=node.worker.backoff_max_s,
+    )
+    beat = partial(_beat, watchdog, orders)
+    return Supervisor(command_line(loaded.path), limits, beat=beat, configuration=loaded.snapshot())
+
+
+def _recorder(node: Node, store: Store, status_dir: Path) -> Recorder:
+    return Recorder(
+        store.journal,
+        owed=node.mqtt is not None,
+        keep_days=node.storage.keep_days,
+        keep_mb=min(node.storage.keep_mb, VOLATILE_KEEP_MB) if store.volatile else node.storage.keep_mb,
+        spool=Spool(status_dir / "spool"),
+    )
+
+
+def _facts(
+    loaded: LoadedNode, wording: Wording, state_dir: Path, status_dir: Path, conductors: tuple[str, ...]
+) -> Facts:
+    return Facts(
+        identity=wording.identity,
+        configuration=loaded.path,
+        configuration_id=loaded.configuration_id,
+        state_dir=state_dir,
+        status_dir=status_dir,
+        boot_id=wording.boot_id,
+        virtual_clock=loaded.node.schedule.clock == "virtual",
+        deadline_s=loaded.node.schedule.deadline_s,
+        conductors=conductors,
+    )
+
+
+def _stamp(loaded: LoadedNode, wording: Wording, conductors: dict[str, str | None]) -> Stamp:
+    return Stamp(
+        identity=wording.identity,
+        conductors=conductors,
+        method=loaded.node.measure.method,
+        configuration_id=loaded.configuration_id,
+        software_version=__version__,
+        boot_id=wording.boot_id,
+        test=loaded.node.unit.commissioning,
+    )
+
+
 def _ladder(node: Node, notifier: notify.Notifier, boot_id: str, state_dir: Path) -> Ladder | None:
     """None where nobody would start this process anew, and where files are replayed, which no fresh start mends."""
     if not notifier.present or node.camera.backend == "replay":
@@ -214,93 +225,10 @@ def _beat(watchdog: notify.Watchdog, orders: Orders) -> bool:
     return not orders.stop
 
 
-def _leave(link: Link | None, ending: Ending, watchdog: notify.Watchdog, wording: _Wording) -> None:
+def _leave(link: Link | None, ending: Ending, watchdog: notify.Watchdog, wording: Wording) -> None:
     """Say goodbye to the broker; after the end of a replay not before it has everything, within bounds."""
     if link is None:
         return
     drain_s = DRAIN_S if ending is Ending.END_OF_FRAMES else STOP_DRAIN_S
     watchdog.promise(drain_s + 10.0)
     link.stop(drain_s, wording.status("offline", wording.clock.now(), ending.value))
-
-
-@dataclass(frozen=True)
-class _Wording:
-    """What ``status`` says on MQTT."""
-
-    loaded: LoadedNode
-    boot_id: str
-    clock: Clock
-
-    @property
-    def identity(self) -> Identity:
-        """Of the unit."""
-        unit = self.loaded.node.unit
-        return Identity(utility=unit.utility, line=unit.line, span=unit.span, unit=unit.unit)
-
-    def status(self, state: str, since: datetime | None, text: str = "") -> bytes:
-        """Payload of the topic ``status``."""
-        message = StatusMessage.model_validate(
-            {
-                "state": state,
-                "since": since,
-                "software_version": __version__,
-                "boot_id": self.boot_id,
-                "configuration_id": self.loaded.configuration_id,
-                "text": text,
-            }
-        )
-        return message.model_dump_json().encode()
-
-    def online(self) -> bytes:
-        """At the moment of connection."""
-        return self.status("online", self.clock.now())
-
-
-def _link(
-    mqtt: Mqtt, prefix: str, journal: Journal, schedule: Schedule, wording: _Wording, inbox: Inbox | None
-) -> Link:
-    clock = wording.clock
-    gap_s = schedule.gap_s(clock.now())
-    # A newest reading must not lapse before the next one can replace it.
-    expiry_s = max(mqtt.expiry_s, 2 * gap_s if gap_s != float("inf") else 0.0)
-    outbox = Outbox(journal, inflight=mqtt.inflight, backlog_per_s=mqtt.backlog_per_s, expiry_s=expiry_s, now=clock.now)
-    broker = configured_broker(mqtt, mqtt.client_id or f"sagnode-{wording.identity.unit}")
-    will = wording.status("offline", None, "connection lost")
-    return Link(Terms(broker, prefix, wording.online, will, expiry_s, inbox.receive if inbox else None), outbox)
-
-
-def configured_broker(mqtt: Mqtt, client_id: str) -> Broker:
-    """The broker of a configuration's table [mqtt], for a client of this name."""
-    tls = mqtt.tls
-    return Broker(
-        host=mqtt.host,
-        port=mqtt.port,
-        client_id=client_id,
-        mqtt5=mqtt.protocol == "5",
-        username=mqtt.username,
-        password_file=mqtt.password_file,
-        tls=tls is not None,
-        ca_file=tls.ca_file if tls else None,
-        cert_file=tls.cert_file if tls else None,
-        key_file=tls.key_file if tls else None,
-        keepalive_s=mqtt.keepalive_s,
-    )
-
-
-def topic_prefix(node: Node) -> str:
-    """The topic prefix with its places filled in, without a slash at its end.
-
-    Raises:
-        ConfigError: mqtt.prefix is no template of a topic.
-    """
-    assert node.mqtt is not None  # noqa: S101 - the caller has looked
-    unit = node.unit
-    template = node.mqtt.prefix
-    remedy = "it may name {utility}, {line}, {span} and {unit}, and may not contain + or #"
-    try:
-        prefix = template.format(utility=unit.utility, line=unit.line, span=unit.span, unit=unit.unit).strip("/")
-    except (KeyError, IndexError, ValueError, AttributeError) as error:
-        raise ConfigError(f"mqtt.prefix = {template!r} cannot be filled in ({error})", remedy) from error
-    if not prefix or set("+#\0") & set(prefix):
-        raise ConfigError(f"mqtt.prefix = {template!r} is no topic", remedy)
-    return prefix

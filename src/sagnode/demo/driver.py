@@ -23,7 +23,7 @@ from typing import Any
 
 from sagnode.config.load import LoadedNode, load_node
 from sagnode.config.show import toml_text
-from sagnode.daemon.node import configured_broker, topic_prefix
+from sagnode.daemon.uplink import configured_broker, topic_prefix
 from sagnode.demo.broker import EmbeddedBroker
 from sagnode.demo.results import Delivery, Point, best_frame, delivery, join, read_truth, summary
 from sagnode.demo.subscriber import Subscriber

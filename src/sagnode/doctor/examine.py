@@ -16,7 +16,7 @@ from sagnode.check.configuration import check
 from sagnode.config.load import LoadedNode
 from sagnode.daemon import places
 from sagnode.daemon import report as outside
-from sagnode.daemon.node import configured_broker
+from sagnode.daemon.uplink import configured_broker
 from sagnode.doctor import findings, place, system
 from sagnode.doctor.broker import check_broker
 from sagnode.doctor.findings import Finding, Level, fault, ok, skipped, warning
