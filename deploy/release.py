@@ -35,8 +35,8 @@ def make_release(suite: Suite, arch: str, directory: Path) -> None:
         pip("wheel", "--no-deps", "--wheel-dir", scratch, _clean_source(Path(scratch)))
         (own,) = Path(scratch).glob("sagnode-*.whl")
         words = ["--quiet", "--no-deps", "--no-compile", "--target", site, *platform_words(suite, arch)]
-        # Debian 12's pip holds what a package says of its Python against the one that runs pip. The lock was resolved for
-        # the system that the release is for, and the wheels' own tags say that too.
+        # Debian 12's pip holds what a package says of its Python against the one that runs pip. The lock was resolved
+        # for the system that the release is for, and the wheels' own tags say that too.
         words.append("--ignore-requires-python")
         pip("install", *words, "--require-hashes", "--requirement", lock)
         pip("install", *words, own)
