@@ -8,15 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import draws
+import groups
+import views
+import worlds
 from sagnode.calibrate.files import load_intrinsics
 from sagnode.geometry.camera import inside, project
 from sagnode.scene.render import render
 from sagnode.scene.spec import Scene, survey_pose
-
-groups = pytest.importorskip("groups")
-draws = pytest.importorskip("draws")
-views = pytest.importorskip("views")
-worlds = pytest.importorskip("worlds")
 
 
 @pytest.mark.parametrize("name", list(views.VIEWS))

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import limit
 from sagnode.calibrate.files import save_intrinsics
 from sagnode.geometry.camera import project
 from sagnode.geometry.ground import GroundProfile
@@ -19,8 +20,6 @@ from sagnode.scene.render import render
 from sagnode.scene.truth import pixel_curve
 from sagnode.scene.wires import Seen
 from sagnode.survey import SAG
-
-limit = pytest.importorskip("limit")
 
 
 def site_of(scene, folder: Path):

@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+import montecarlo
 from sagnode.message import Estimate
-
-montecarlo = pytest.importorskip("montecarlo")
 
 
 def trials(stated: float, drawn: float, count: int = 4000) -> list:

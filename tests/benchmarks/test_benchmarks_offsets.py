@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-offsets = pytest.importorskip("offsets")
+import offsets
 
 
 def test_errors_are_offsets_from_the_true_curve_along_the_normal() -> None:

@@ -1,18 +1,12 @@
 """What docs/paper.md is made of: trials that are the same for the same seed, statistics of known errors, the marks."""
 
 import math
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
-measuring = pytest.importorskip("paper.measuring")
-modes = pytest.importorskip("paper.modes")
-report = pytest.importorskip("paper.report")
-scenes = pytest.importorskip("paper.scenes")
+from paper import measuring, modes, report, scenes
 
 
 def results(method, errors, held=True):

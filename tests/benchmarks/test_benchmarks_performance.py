@@ -14,18 +14,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from performance import frames, methods, process, proxy, stages
+from performance import hotspots as profile
+from performance import speed_tables as tables
 from sagnode.pipeline import measure_frame
 from sagnode.worker.supervisor import Limits, Supervisor
 
 BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
-sys.path.insert(0, str(BENCHMARKS))
-frames = pytest.importorskip("performance.frames")
-methods = pytest.importorskip("performance.methods")
-process = pytest.importorskip("performance.process")
-profile = pytest.importorskip("performance.hotspots")
-proxy = pytest.importorskip("performance.proxy")
-stages = pytest.importorskip("performance.stages")
-tables = pytest.importorskip("performance.speed_tables")
 
 
 @pytest.fixture

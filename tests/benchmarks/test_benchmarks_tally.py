@@ -5,10 +5,9 @@ import math
 import numpy as np
 import pytest
 
+import tally
 from sagnode.message import Estimate
 from sagnode.quality import Validity
-
-tally = pytest.importorskip("tally")
 
 
 def one(value, truth, u=0.1, validity=Validity.GOOD, *, limit=0.05, world=0, frame=0, clear=0.9, fair=True):

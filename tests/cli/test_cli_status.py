@@ -9,8 +9,10 @@ import time
 from pathlib import Path
 
 import pytest
+from readings import fill
 
 from sagnode.cli.main import main
+from sagnode.daemon.journal import Journal
 from sagnode.daemon.report import examine
 
 BOOT = Path("/proc/sys/kernel/random/boot_id").read_text().strip()
@@ -181,11 +183,6 @@ def test_a_damaged_page_and_a_damaged_journal_are_no_traceback(tmp_path, capsys)
 
 
 def test_without_a_page_the_journal_tells_the_last_readings(tmp_path, capsys):
-    sys.path.insert(0, str(Path(__file__).parents[1] / "daemon"))
-    from readings import fill
-
-    from sagnode.daemon.journal import Journal
-
     journal = Journal(tmp_path / "journal.sqlite")
     fill(journal, 2, ("L1", "L2"))
     assert main(["status", "--state-dir", str(tmp_path)]) == 1

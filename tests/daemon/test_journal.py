@@ -134,7 +134,7 @@ WRITER = textwrap.dedent(
 
 
 def test_killed_at_random_moments_it_loses_nothing_and_repeats_nothing(path):
-    script = WRITER.format(here=str(Path(__file__).parent))
+    script = WRITER.format(here=str(Path(__file__).parents[1] / "support"))
     acknowledged = 0
     chance = random.Random(7)
     for _ in range(6):

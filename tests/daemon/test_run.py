@@ -2,53 +2,24 @@
 
 import contextlib
 import json
-import os
 import shutil
 import signal
 import socket
-import sqlite3
-import subprocess
-import sys
-import time
-from importlib.resources import files
 from pathlib import Path
 
 import pytest
 from brokers import MOSQUITTO, Mosquitto, Subscriber
+from nodes import NO_CAMERA, SITE, readings, start_daemon, status, wait_for, write_node
 
-SITE = Path(str(files("sagnode.demo") / "site"))
 FRAMES = sorted((SITE / "frames").glob("*T1[2-3]*.jpg"))
 
 
 @pytest.fixture
 def site(tmp_path):
     """The demonstration's site with a node file of the test's own."""
-    for file in ("span.toml", "camera.yaml", "reference.jpg"):
-        shutil.copy(SITE / file, tmp_path)
 
-    def write(camera='backend = "v4l2"\nv4l2 = { device = "/dev/video99" }', schedule="interval_s = 0.5", more=""):
-        node = tmp_path / "node.toml"
-        node.write_text(
-            f"""
-span_file = "span.toml"
-[unit]
-utility = "u"
-line = "l"
-span = "s"
-unit = "n"
-[camera]
-{camera}
-[schedule]
-{schedule}
-deadline_s = 30
-[worker]
-backoff_max_s = 1.0
-[storage]
-state_dir = "state"
-{more}
-"""
-        )
-        return node
+    def write(camera=NO_CAMERA, schedule="interval_s = 0.5", more=""):
+        return write_node(tmp_path, camera, f"{schedule}\ndeadline_s = 30", more)
 
     return write
 
@@ -58,14 +29,7 @@ def start(tmp_path):
     started = []
 
     def build(node, **environment):
-        log = (tmp_path / "log").open("ab")
-        env = {k: v for k, v in os.environ.items() if k not in {"STATE_DIRECTORY", "RUNTIME_DIRECTORY"}}
-        process = subprocess.Popen(
-            [sys.executable, "-m", "sagnode", "run", "--config", str(node)],
-            stderr=log,
-            stdout=log,
-            env={**env, **environment},
-        )
+        process = start_daemon(node, tmp_path / "log", **environment)
         started.append(process)
         return process
 
@@ -73,25 +37,6 @@ def start(tmp_path):
     for process in started:
         process.kill()
         process.wait()
-
-
-def status(tmp_path):
-    with contextlib.suppress(OSError):
-        return json.loads((tmp_path / "state" / "status.json").read_text())
-    return None
-
-
-def wait_for(condition, seconds=20.0):
-    until = time.monotonic() + seconds
-    while not (result := condition()):
-        assert time.monotonic() < until
-        time.sleep(0.05)
-    return result
-
-
-def readings(tmp_path):
-    with sqlite3.connect(tmp_path / "state" / "journal.sqlite") as db:
-        return [json.loads(text) for (text,) in db.execute("SELECT json FROM readings ORDER BY sequence")]
 
 
 @pytest.mark.skipif(len(FRAMES) < 2, reason="the demonstration's frames are not there")

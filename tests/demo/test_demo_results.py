@@ -1,13 +1,9 @@
 """What the demonstration makes of readings and truth."""
 
 import json
-import sys
 from datetime import UTC, datetime, timedelta
-from pathlib import Path
 
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "daemon"))
 from readings import reading
 
 from sagnode.demo.results import Truth, best_frame, delivery, join, read_truth, score, summary

@@ -1,43 +1,24 @@
 """The whole daemon against the utility's side as shipped: enrolment, refused certificates, renewal without restart."""
 
-import contextlib
 import json
-import os
 import shutil
-import sqlite3
 import subprocess
 import sys
-import time
 
 import pytest
 from brokers import MOSQUITTO
-from utility import CA, ROOT, Party, UtilityBroker, enrol, ran
+from nodes import readings, start_daemon, status, wait_for, write_node
+from utility import CA, Party, UtilityBroker, enrol, ran
 
 pytestmark = pytest.mark.skipif(
     MOSQUITTO is None or shutil.which("openssl") is None, reason="mosquitto or openssl is not installed"
 )
 
 UNIT = "u/l/s/n"
-NODE = """
-span_file = "span.toml"
-[unit]
-utility = "u"
-line = "l"
-span = "s"
-unit = "n"
-[camera]
-backend = "v4l2"
-v4l2 = { device = "/dev/video99" }
-[schedule]
-interval_s = 0.3
-deadline_s = 30
-[worker]
-backoff_max_s = 1.0
-[storage]
-state_dir = "state"
+MQTT = """
 [mqtt]
 host = "localhost"
-port = PORT
+port = {port}
 [mqtt.tls]
 ca_file = "tls/ca.crt"
 cert_file = "tls/unit.pem"
@@ -72,16 +53,11 @@ def unit(tmp_path):
     """Starts the daemon beside a broker; a camera that is not there makes invalid readings, which are readings too."""
     site = tmp_path / "site"
     site.mkdir(exist_ok=True)
-    for name in ("span.toml", "camera.yaml", "reference.jpg"):
-        shutil.copy(ROOT / "src/sagnode/demo/site" / name, site)
     running = []
 
     def start(broker):
-        (site / "node.toml").write_text(NODE.replace("PORT", str(broker.port)))
-        environment = {k: v for k, v in os.environ.items() if k not in {"STATE_DIRECTORY", "RUNTIME_DIRECTORY"}}
-        with (tmp_path / "log").open("ab") as log:
-            words = [sys.executable, "-m", "sagnode", "run", "--config", str(site)]
-            running.append(subprocess.Popen(words, stdout=log, stderr=log, env=environment))
+        write_node(site, schedule="interval_s = 0.3\ndeadline_s = 30", more=MQTT.format(port=broker.port))
+        running.append(start_daemon(site, tmp_path / "log"))
         return running[-1]
 
     start.site = site
@@ -91,23 +67,8 @@ def unit(tmp_path):
         process.wait()
 
 
-def status(site):
-    with contextlib.suppress(OSError):
-        return json.loads((site / "state" / "status.json").read_text())
-    return None
-
-
-def wait_for(condition, seconds=25.0):
-    until = time.monotonic() + seconds
-    while not (result := condition()):
-        assert time.monotonic() < until
-        time.sleep(0.05)
-    return result
-
-
 def journalled(site):
-    with sqlite3.connect(site / "state" / "journal.sqlite") as db:
-        return [sequence for (sequence,) in db.execute("SELECT sequence FROM readings ORDER BY sequence")]
+    return [reading["sequence"] for reading in readings(site)]
 
 
 def consumer_named(name, broker, ca):

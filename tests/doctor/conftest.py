@@ -1,12 +1,10 @@
 """A node that replays two frames of the demonstration at noon, and the real broker of the daemon's tests."""
 
 import shutil
-import sys
 from pathlib import Path
 
 import pytest
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "daemon"))
 DEMO = Path(__file__).parents[2] / "src" / "sagnode" / "demo" / "site"
 
 NODE = """

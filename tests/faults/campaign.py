@@ -62,9 +62,8 @@ def main():
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--report", type=Path, help="write the document here")
     args = parser.parse_args()
+    import conclusion
     from table import markdown, save
-
-    import report
 
     skipped = {}
     for name in filter(None, args.only.split(",")):
@@ -89,11 +88,11 @@ def main():
             for sentence in line.verdict():
                 print(f"BROKEN: {sentence}", flush=True)
         print(f"--- {name}: {time.monotonic() - began:.0f} s\n", flush=True)
-    return report.conclude(SECTIONS, RESULTS, args, skipped)
+    return conclusion.conclude(SECTIONS, RESULTS, args, skipped)
 
 
 if __name__ == "__main__":
-    for folder in ("faults", "daemon", "config"):
+    for folder in ("faults", "support", "config"):
         sys.path.insert(0, str(HERE.parent / folder))
     if shutil.which("mosquitto", path="/usr/sbin:/usr/local/sbin:/usr/bin:/usr/local/bin") is None:
         sys.exit("the campaign needs a real broker: apt install mosquitto")

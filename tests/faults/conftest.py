@@ -4,8 +4,7 @@ from pathlib import Path
 
 import pytest
 
-for folder in ("faults", "daemon"):
-    sys.path.insert(0, str(Path(__file__).parents[1] / folder))
+sys.path.insert(0, str(Path(__file__).parent))
 
 
 @pytest.fixture(autouse=True)

@@ -1,24 +1,19 @@
 """The password and the key are nowhere but in their files and in the daemon's memory."""
 
-import contextlib
-import json
 import os
 import shutil
 import signal
 import stat
-import subprocess
-import sys
 import tarfile
-import time
 from pathlib import Path
 
 import pytest
 from brokers import MOSQUITTO, Mosquitto
+from nodes import SITE, start_daemon, status, wait_for, write_node
 from utility import CA, enrol, ran
 
 from sagnode.cli.main import main
 
-SITE = Path(__file__).parents[2] / "src" / "sagnode" / "demo" / "site"
 SECRET = "Tr0ub4dor-and-3"
 PASSWD = shutil.which("mosquitto_passwd")
 
@@ -37,8 +32,6 @@ def node(tmp_path_factory):
     ran(CA, ca, "broker", "localhost")
     site = tmp_path / "site"
     site.mkdir(mode=0o755)
-    for name in ("span.toml", "camera.yaml", "reference.jpg"):
-        shutil.copy(SITE / name, site)
     (site / "frames").mkdir()
     for frame in sorted((SITE / "frames").glob("*T1[2-3]*.jpg"))[:2]:
         shutil.copy(frame, site / "frames")
@@ -53,21 +46,12 @@ def node(tmp_path_factory):
     tls = f"cafile {ca}/ca.crt\ncertfile {keys}/broker.crt\nkeyfile {keys}/broker.key\nrequire_certificate true"
     lines = [tls, f"password_file {users}"]
     with Mosquitto(tmp_path, *lines, anonymous=False) as broker:
-        (site / "node.toml").write_text(f"""
-span_file = "span.toml"
-log_level = "debug"
-[unit]
-utility = "u"
-line = "l"
-span = "s"
-unit = "n"
-[camera]
-backend = "replay"
-replay = {{ path = "frames", at_end = "hold" }}
-[schedule]
-interval_s = 1.0
-[storage]
-state_dir = "state"
+        write_node(
+            site,
+            'backend = "replay"\nreplay = { path = "frames", at_end = "hold" }',
+            "interval_s = 1.0",
+            before='log_level = "debug"',
+            more=f"""
 [mqtt]
 host = "localhost"
 port = {broker.port}
@@ -77,17 +61,11 @@ password_file = "secret"
 ca_file = "tls/ca.crt"
 cert_file = "tls/unit.pem"
 key_file = "tls/unit.pem"
-""")
-        environment = {k: v for k, v in os.environ.items() if k not in {"STATE_DIRECTORY", "RUNTIME_DIRECTORY"}}
+""",
+        )
         before = os.umask(0o000)  # whoever starts it may be careless
         try:
-            with (tmp_path / "log").open("wb") as log:
-                process = subprocess.Popen(
-                    [sys.executable, "-m", "sagnode", "run", "--config", str(site)],
-                    stdout=log,
-                    stderr=log,
-                    env=environment,
-                )
+            process = start_daemon(site, tmp_path / "log")
         finally:
             os.umask(before)
         try:
@@ -98,20 +76,6 @@ key_file = "tls/unit.pem"
         finally:
             process.send_signal(signal.SIGTERM)
             process.wait(20)
-
-
-def status(site):
-    with contextlib.suppress(OSError):
-        return json.loads((site / "state" / "status.json").read_text())
-    return None
-
-
-def wait_for(condition, seconds=30.0):
-    until = time.monotonic() + seconds
-    while not (result := condition()):
-        assert time.monotonic() < until
-        time.sleep(0.1)
-    return result
 
 
 def hidden(site):
