@@ -17,7 +17,8 @@ listing() {
 }
 
 apt-get update -qq
-# A run that failed may have left it.
+# A run that failed or was interrupted may have left it.
+dpkg --configure -a
 ! dpkg-query -W sagnode >/dev/null 2>&1 || apt-get purge -y -qq sagnode
 # What the package depends on first, so that what is left at the end is the package's own.
 apt-get install -y -qq --no-install-recommends python3 adduser libstdc++6 libgcc-s1 init-system-helpers >/dev/null
