@@ -15,6 +15,9 @@
 # Where there is no checkout this script is /opt/sagnode/current/install.sh.
 set -euo pipefail
 
+# A service that calls this (sagnode-update) has directories of its own, which are not the daemon's.
+unset STATE_DIRECTORY RUNTIME_DIRECTORY CONFIGURATION_DIRECTORY CREDENTIALS_DIRECTORY NOTIFY_SOCKET WATCHDOG_USEC
+
 HERE=$(cd "$(dirname "$0")/.." && pwd)
 SELF=$(readlink -f "$0")
 OPT=/opt/sagnode
@@ -217,6 +220,8 @@ preflight() {
 		fail "the new release finds faults that the one in use does not (above); nothing was changed"
 	else
 		say "WARNING: $ETC has faults; see: sagnode doctor"
+		# A daemon that runs all the same must not go on out of a release that will be taken away.
+		! systemd_runs || ! systemctl is-active --quiet sagnode.service || configured=yes
 	fi
 }
 look_over() {

@@ -92,6 +92,8 @@ ok "the service is ready: $(systemctl show --value -p StatusText sagnode)"
 [ "$(stat -c %U /var/lib/sagnode)" = sagnode ] || fail 'the state directory is not its own'
 ok 'it runs as sagnode, with its own state directory'
 systemd-analyze security sagnode --no-pager | tail -n 1
+sagnode-enrol --tls /root/tls request 2>/dev/null | openssl req -noout -subject | grep -q 'U/L/1-2/n1' || fail 'no request for a certificate'
+ok 'sagnode-enrol is there, and asks for a certificate of this unit'"'"'s name'
 printf 'memory %s MB, tasks %s\n' "$(($(systemctl show --value -p MemoryCurrent sagnode | grep -x '[0-9]*' || echo 0) / 1000000))" \
 	"$(systemctl show --value -p TasksCurrent sagnode)"
 
