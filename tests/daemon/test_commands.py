@@ -72,7 +72,8 @@ def test_what_is_no_command_is_answered_with_an_error_and_nothing_else(asker, pa
 def test_a_refusal_too_bears_the_correlation_of_its_payload_where_there_is_one(asker):
     asker.ask({"command": "reboot", "correlation": "8"})
     asker.ask({"command": "reboot", "correlation": ["8"]})
-    assert [r.correlation for r in asker.replies] == ["8", None]
+    asker.ask(b'{"command":"reboot","correlation":"\\ud800"}')  # half a pair: text in JSON, but none that can be sent
+    assert [r.correlation for r in asker.replies] == ["8", None, None]
 
 
 @settings(deadline=None)

@@ -1,25 +1,50 @@
 """The fault campaign: real processes, a real broker, real files; what was made, what arrived, and how long it took.
 
-    python tests/faults/campaign.py [--only SECTION,SECTION] [--share 1.0] [--seed 1] [--report FILE]
+    python tests/faults/campaign.py [--only SECTION,SECTION] [--share 1.0] [--seed 1] [--jobs 2] [--report FILE]
 
-Each section keeps its result in out/faults, so that the campaign can be stopped and gone on with by --only. At the end
-the table of all sections that were ever run is printed, and --report writes it as a document.
+Sections run as processes of their own, ``--jobs`` at a time; inside a section several nodes run side by side, each with
+its own directory, broker and books. Each section keeps its result in out/faults, so that single ones can be run again.
+At the end the table of all sections is printed, and --report writes it as a document.
 """
 
 import argparse
 import importlib
+import os
 import random
+import resource
 import shutil
+import signal
+import subprocess
 import sys
 import tempfile
+import threading
 import time
 import traceback
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 HERE = Path(__file__).parent
 ROOT = HERE.parents[1]
-SECTIONS = ("worker", "kill", "camera", "broker", "backlog", "disk", "journal", "clock", "reload", "power", "fuzz")
+SECTIONS = ("worker", "kill", "camera", "broker", "backlog", "disk", "journal", "clock", "reload", "commands", "power",
+            "fuzz")  # fmt: skip
+ALONE = ("backlog",)
+"""What measures a promised rate is not disturbed."""
+LONGEST_FIRST = (
+    "camera",
+    "kill",
+    "worker",
+    "broker",
+    "fuzz",
+    "power",
+    "reload",
+    "journal",
+    "disk",
+    "clock",
+    "commands",
+)
 RESULTS = ROOT / "out" / "faults"
+MEMORY_BYTES = 6_000_000_000
+"""Address space of the campaign and of each of its processes: what grows beyond that fails, and not the machine."""
 
 
 class Skip(Exception):
@@ -47,12 +72,107 @@ class Campaign:
     def seconds(self, full):
         return max(1.0, full * min(1.0, self.share))
 
+    def side_by_side(self, *works, at_once):
+        """Run works (functions of a campaign of their own) in threads; their lines in order, equal faults added up."""
+        place = self.fresh("work")
+        own = [Campaign(self.share, self.random.getrandbits(64), place / str(n)) for n in range(len(works))]
+        with ThreadPoolExecutor(at_once) as pool:
+            ends = [pool.submit(work, campaign) for work, campaign in zip(works, own, strict=True)]
+        lines = {}
+        for end in ends:
+            line = end.result()
+            if line.fault in lines:
+                lines[line.fault].add(line)
+            else:
+                lines[line.fault] = line
+        return list(lines.values())
+
+    def divided(self, full, nodes):
+        """The counts of so many nodes that share a section's faults."""
+        count = self.count(full)
+        nodes = min(nodes, count)
+        return [count // nodes + (n < count % nodes) for n in range(nodes)]
+
 
 def run_section(name, share, seed, directory=None):
     """The lines of one section."""
     module = importlib.import_module(f"section_{name}")
     with tempfile.TemporaryDirectory(prefix="faults-") as scratch:
-        return list(module.run(Campaign(share, seed, Path(directory or scratch))))
+        return list(module.run(Campaign(share, f"{seed} {name}", Path(directory or scratch))))
+
+
+def one(name, share, seed):
+    """Run a section here, print its part of the table and keep it; returns the exit code."""
+    from table import markdown, save, save_absence
+
+    file = RESULTS / f"{name}.json"
+    file.unlink(missing_ok=True)  # an old result must not stand for one that broke down
+    began = time.monotonic()
+    try:
+        lines = run_section(name, share, seed)
+    except Skip as skip:
+        save_absence(file, str(skip))
+        print(f"--- {name}: SKIPPED: {skip}", flush=True)
+        return 0
+    except Exception:  # noqa: BLE001 - outermost loop
+        # A section that breaks down is a failed section, and the others are still worth running.
+        save_absence(file, "broke down")
+        print(f"--- {name}: BROKE DOWN after {time.monotonic() - began:.0f} s\n{traceback.format_exc()}", flush=True)
+        return 1
+    save(file, lines, time.monotonic() - began, seed, share)
+    broken = [f"BROKEN: {sentence}\n" for line in lines for sentence in line.verdict()]
+    print(f"--- {name}: {time.monotonic() - began:.0f} s\n{markdown(lines)}\n{''.join(broken)}", flush=True)
+    return 1 if broken else 0
+
+
+class Lanes:
+    """Sections in processes of their own, so many at once; those of ALONE when no other runs."""
+
+    def __init__(self, jobs, share, seed, until):
+        self._jobs, self._until = jobs, until
+        self._words = [sys.executable, __file__, "--share", str(share), "--seed", str(seed), "--here"]
+
+    def run(self, names):
+        shared = [name for name in LONGEST_FIRST if name in names]
+        threads = [threading.Thread(target=self._lane, args=(shared,)) for _ in range(self._jobs)]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+        self._lane([name for name in ALONE if name in names])
+
+    def _lane(self, names):
+        from table import save_absence
+
+        while names:
+            try:
+                name = names.pop(0)
+            except IndexError:  # another lane has it
+                return
+            left = self._until - time.monotonic()
+            if left < 1:
+                save_absence(RESULTS / f"{name}.json", "there was no time left for it")
+                continue
+            with tempfile.TemporaryDirectory(prefix="faults-", ignore_cleanup_errors=True) as scratch:
+                environment = {**os.environ, "TMPDIR": scratch}
+                process = subprocess.Popen([*self._words, "--only", name], start_new_session=True, env=environment)
+                try:
+                    process.wait(left)
+                except subprocess.TimeoutExpired:
+                    os.killpg(process.pid, signal.SIGKILL)
+                    process.wait()
+                    unmount_below(scratch)
+                    save_absence(RESULTS / f"{name}.json", "not finished in time")
+
+
+def unmount_below(directory):
+    """Take down what a killed section left mounted."""
+    mounts = [line.split()[:2] for line in Path("/proc/mounts").read_text().splitlines()]
+    for device, place in reversed(mounts):
+        if place.startswith(f"{directory}/"):
+            subprocess.run(["umount", "-l", place], check=False, capture_output=True)
+            if device.startswith("/dev/loop"):
+                subprocess.run(["losetup", "-d", device], check=False, capture_output=True)
 
 
 def main():
@@ -60,35 +180,23 @@ def main():
     parser.add_argument("--only", default=",".join(SECTIONS), help="sections, by commas; '' only reports")
     parser.add_argument("--share", type=float, default=1.0, help="this part of the full counts")
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--jobs", type=int, default=2, help="sections at once")
+    parser.add_argument("--minutes", type=float, default=90.0, help="what is not finished by then is ended")
     parser.add_argument("--report", type=Path, help="write the document here")
+    parser.add_argument("--here", action="store_true", help="run the one section in this process")
     args = parser.parse_args()
-    import conclusion
-    from table import markdown, save
-
-    skipped = {}
-    for name in filter(None, args.only.split(",")):
+    names = [name for name in args.only.split(",") if name]
+    for name in names:
         if name not in SECTIONS:
             parser.error(f"no section {name!r}; there are {', '.join(SECTIONS)}")
-        began = time.monotonic()
-        print(f"--- {name}", flush=True)
-        try:
-            lines = run_section(name, args.share, args.seed)
-        except Skip as skip:
-            skipped[name] = str(skip)
-            print(f"SKIPPED: {skip}", flush=True)
-            continue
-        except Exception:  # noqa: BLE001 - outermost loop
-            # A section that breaks down is a failed section, and the others are still worth running.
-            traceback.print_exc()
-            skipped[name] = "broke down"
-            continue
-        save(RESULTS / f"{name}.json", lines, time.monotonic() - began, args.seed, args.share)
-        print(markdown(lines), flush=True)
-        for line in lines:
-            for sentence in line.verdict():
-                print(f"BROKEN: {sentence}", flush=True)
-        print(f"--- {name}: {time.monotonic() - began:.0f} s\n", flush=True)
-    return conclusion.conclude(SECTIONS, RESULTS, args, skipped)
+    resource.setrlimit(resource.RLIMIT_AS, (MEMORY_BYTES, MEMORY_BYTES))
+    if args.here:
+        return max(one(name, args.share, args.seed) for name in names)
+    import conclusion
+
+    began = time.monotonic()
+    Lanes(args.jobs, args.share, args.seed, began + args.minutes * 60).run(names)
+    return conclusion.conclude(SECTIONS, RESULTS, args, time.monotonic() - began)
 
 
 if __name__ == "__main__":

@@ -2,10 +2,18 @@
 
 import signal
 import time
+from functools import partial
 
 from rig import Rig
 from table import Line
 
+MODES = {
+    "refuse": "broker refuses connections",
+    "closed": "nobody listens",
+    "silent": "link takes everything and delivers nothing",
+    "mute-broker": "PUBACKs do not come through",
+    "slow": "link of 20 kB/s",
+}
 CUTS = ("before-puback", "inside-puback", "inside-publish", "after-publish")
 ON_THE_WIRE = 20
 """As configured by the rig: so many readings can have lost their PUBACK with one link."""
@@ -14,13 +22,11 @@ UNWRITTEN = 50
 
 
 def run(campaign):
-    yield from cut(campaign, campaign.count(25))
-    yield from broken_links(campaign, campaign.count(5))
-    yield stopped(campaign, campaign.count(5))
-    yield killed(campaign, campaign.count(10), store=False)
-    yield killed(campaign, campaign.count(10), store=True)
-    yield patient(campaign)
-    yield name_not_found(campaign)
+    works = [partial(cut, where=where, each=campaign.count(40)) for where in CUTS]
+    works += [partial(broken_link, mode=mode, title=title, each=campaign.count(10)) for mode, title in MODES.items()]
+    works += [partial(killed, times=campaign.count(20), store=store) for store in (False, True)]
+    works += [partial(stopped, times=campaign.count(15)), patient, name_not_found]
+    return campaign.side_by_side(*works, at_once=4)
 
 
 def rig_of(campaign, *broker_lines, **options):
@@ -34,44 +40,35 @@ def acknowledged_since(rig, instant, seconds=70.0):
     return at - instant
 
 
-def cut(campaign, each):
-    for where in CUTS:
-        with rig_of(campaign) as rig:
-            rig.start()
-            acknowledged_since(rig, time.monotonic())
-            recovery = []
-            while rig.witness.cuts < each:
-                before = rig.witness.cuts
-                rig.witness.cut(where)
-                rig.wait_for(lambda n=before: rig.witness.cuts > n, 60)
-                recovery.append(acknowledged_since(rig, time.monotonic()))
-                time.sleep(campaign.random.uniform(0.05, 0.3))
-            rig.last_run()
-            yield Line.of("broker", f"link reset {where.replace('-', ' ')}", each, rig.books(), recovery=recovery,
-                          limit_s=60.0, allowed_repeats=each * ON_THE_WIRE)  # fmt: skip
+def cut(campaign, where, each):
+    with rig_of(campaign) as rig:
+        rig.start()
+        acknowledged_since(rig, time.monotonic())
+        recovery = []
+        while rig.witness.cuts < each:
+            before = rig.witness.cuts
+            rig.witness.cut(where)
+            rig.wait_for(lambda n=before: rig.witness.cuts > n, 60)
+            recovery.append(acknowledged_since(rig, time.monotonic()))
+            time.sleep(campaign.random.uniform(0.05, 0.3))
+        rig.last_run()
+        return Line.of("broker", f"link reset {where.replace('-', ' ')}", each, rig.books(), recovery=recovery,
+                       limit_s=60.0, allowed_repeats=each * ON_THE_WIRE)  # fmt: skip
 
 
-def broken_links(campaign, each):
-    titles = {
-        "refuse": "broker refuses connections",
-        "closed": "nobody listens",
-        "silent": "link takes everything and delivers nothing",
-        "mute-broker": "PUBACKs do not come through",
-        "slow": "link of 20 kB/s",
-    }
-    for mode, title in titles.items():
-        with rig_of(campaign, sets={"daemon.session.PUBACK_WAIT_S": 1.0, "daemon.link.BACKOFF_MAX_S": 1.0}) as rig:
-            rig.start()
-            acknowledged_since(rig, time.monotonic())
-            recovery = []
-            for _ in range(each):
-                rig.witness.mode = mode
-                time.sleep(campaign.random.uniform(0.2, 2.0))
-                rig.witness.mode = "pass"
-                recovery.append(acknowledged_since(rig, time.monotonic()))
-            rig.last_run()
-            yield Line.of("broker", title, each, rig.books(), recovery=recovery, limit_s=60.0,
-                          allowed_repeats=each * 3 * ON_THE_WIRE)  # fmt: skip
+def broken_link(campaign, mode, title, each):
+    with rig_of(campaign, sets={"daemon.session.PUBACK_WAIT_S": 1.0, "daemon.link.BACKOFF_MAX_S": 1.0}) as rig:
+        rig.start()
+        acknowledged_since(rig, time.monotonic())
+        recovery = []
+        for _ in range(each):
+            rig.witness.mode = mode
+            time.sleep(campaign.random.uniform(0.2, 2.0))
+            rig.witness.mode = "pass"
+            recovery.append(acknowledged_since(rig, time.monotonic()))
+        rig.last_run()
+        return Line.of("broker", title, each, rig.books(), recovery=recovery, limit_s=60.0,
+                       allowed_repeats=each * 3 * ON_THE_WIRE)  # fmt: skip
 
 
 def stopped(campaign, times):

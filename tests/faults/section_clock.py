@@ -3,6 +3,7 @@
 import itertools
 import time
 from datetime import datetime, timedelta
+from functools import partial
 
 from rig import Rig
 from table import Line
@@ -19,34 +20,38 @@ INTERVAL_S = 0.1
 
 
 def run(campaign):
-    for title, offsets in STEPS.items():
-        steps = campaign.count(60)
-        with Rig(campaign.fresh("clock"), virtual=False, interval_s=INTERVAL_S, clock=True) as rig:
-            rig.start()
-            rig.wait_good(3)
-            began, good_before = time.monotonic(), rig.good()
-            stepped = []
-            for number in range(steps):
-                offset = offsets[number % len(offsets)] if offsets else campaign.random.uniform(-26 * YEAR, 34 * YEAR)
-                fresh = rig.clock.with_suffix(".new")
-                fresh.write_text(f"{offset}")
-                fresh.replace(rig.clock)
-                stepped.append(time.monotonic())
-                time.sleep(campaign.random.uniform(0.05, 0.4))
-            rig.clock.write_text("0")
-            elapsed = time.monotonic() - began
-            made = rig.good() - good_before
-            rig.wait_good(3)
-            good_at = [at for at, what, _ in rig.entries() if what == "G"]
-            recovery = [min(at for at in good_at if at >= step) - step for step in stepped]
-            rig.last_run()
-            books = rig.books()
-            broken = []
-            most = elapsed / INTERVAL_S + steps + 5  # each step may make one reading due
-            if made > most:
-                broken.append(f"{made} readings in {elapsed:.0f} s: it floods")
-            broken += dishonest(rig)
-            yield Line.of("clock", title, steps, books, recovery=recovery, limit_s=INTERVAL_S + 3.0, broken=broken)
+    works = [partial(stepping, title=title, offsets=offsets) for title, offsets in STEPS.items()]
+    return campaign.side_by_side(*works, at_once=3)
+
+
+def stepping(campaign, title, offsets):
+    steps = campaign.count(60)
+    with Rig(campaign.fresh("clock"), virtual=False, interval_s=INTERVAL_S, clock=True) as rig:
+        rig.start()
+        rig.wait_good(3)
+        began, good_before = time.monotonic(), rig.good()
+        stepped = []
+        for number in range(steps):
+            offset = offsets[number % len(offsets)] if offsets else campaign.random.uniform(-26 * YEAR, 34 * YEAR)
+            fresh = rig.clock.with_suffix(".new")
+            fresh.write_text(f"{offset}")
+            fresh.replace(rig.clock)
+            stepped.append(time.monotonic())
+            time.sleep(campaign.random.uniform(0.05, 0.4))
+        rig.clock.write_text("0")
+        elapsed = time.monotonic() - began
+        made = rig.good() - good_before
+        rig.wait_good(3)
+        good_at = [at for at, what, _ in rig.entries() if what == "G"]
+        recovery = [min(at for at in good_at if at >= step) - step for step in stepped]
+        rig.last_run()
+        books = rig.books()
+        broken = []
+        most = elapsed / INTERVAL_S + steps + 5  # each step may make one reading due
+        if made > most:
+            broken.append(f"{made} readings in {elapsed:.0f} s: it floods")
+        broken += dishonest(rig)
+        return Line.of("clock", title, steps, books, recovery=recovery, limit_s=INTERVAL_S + 3.0, broken=broken)
 
 
 def dishonest(rig):

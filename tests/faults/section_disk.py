@@ -5,6 +5,7 @@ import os
 import shutil
 import subprocess
 import time
+from functools import partial
 
 from campaign import Skip
 from rig import Rig
@@ -220,16 +221,19 @@ def run_pictures_refused(campaign, times):
 def run(campaign):
     if os.geteuid() != 0:
         raise Skip("mounting small disks needs root")
-    yield run_full(campaign, campaign.count(15), kill=False)
-    yield run_full(campaign, campaign.count(10), kill=True)
-    yield run_read_only(campaign, campaign.count(10))
-    yield run_pictures_give_way(campaign, campaign.count(10))
     missing = available()
     if missing:
         raise Skip(missing)
-    yield run_pictures_refused(campaign, campaign.count(12))
-    yield run_errors(campaign, campaign.count(10))
-    yield run_slow(campaign, campaign.count(10))
+    works = [
+        partial(run_full, times=campaign.count(15), kill=False),
+        partial(run_full, times=campaign.count(10), kill=True),
+        partial(run_read_only, times=campaign.count(10)),
+        partial(run_pictures_give_way, times=campaign.count(10)),
+        partial(run_pictures_refused, times=campaign.count(12)),
+        partial(run_errors, times=campaign.count(10)),
+        partial(run_slow, times=campaign.count(10)),
+    ]
+    return campaign.side_by_side(*works, at_once=3)
 
 
 def recorded_again(rig):

@@ -6,6 +6,7 @@ reading whose text is still whole in the damaged files must be found again.
 
 import json
 import logging
+import re
 import shutil
 import sqlite3
 import time
@@ -22,6 +23,8 @@ from sagnode.daemon.sequence import BLOCK
 
 COUNT = 600
 READINGS = 120
+_BEGIN = re.compile(rb'\{"schema_version":')
+_SEQUENCE = re.compile(rb'"sequence":(\d+)')
 
 
 def flip(random, data):
@@ -59,6 +62,7 @@ def run(campaign):
     fill(original / "journal.sqlite", READINGS)
     log_of_last_readings(original)
     texts = rows_of(original / "journal.sqlite")
+    stored = {sequence: as_stored(sequence, text) for sequence, text in texts.items()}
     place = campaign.fresh("journal") / "state"
     for title, damage in DAMAGES.items():
         times = campaign.count(COUNT / len(DAMAGES))
@@ -75,7 +79,7 @@ def run(campaign):
                 flip(campaign.random, count := bytearray((place / "sequence").read_bytes()))
                 (place / "sequence").write_bytes(count)
             began = time.monotonic()
-            found, wrong = reopened(place, texts)
+            found, wrong = reopened(place, texts, stored)
             recovery.append(time.monotonic() - began)
             broken += [f"{title}, number {number}: {text}" for text in wrong]
             total.update(found)
@@ -116,10 +120,17 @@ def as_stored(sequence, text):
     return [text.encode() + crc.to_bytes(size, "big") for size in (4, 6)]
 
 
-def reopened(place, texts):
+def whole_in(raw, stored):
+    """Numbers of the readings whose bytes are all there."""
+    starts = [match.start() for match in _BEGIN.finditer(raw)]
+    by_number = [(int(found[1]), at) for at in starts if (found := _SEQUENCE.search(raw, at, at + 3000))]
+    return {n for n, at in by_number if any(raw.startswith(text, at) for text in stored.get(n, ()))}
+
+
+def reopened(place, texts, stored):
     """Open the damaged journal as the daemon does; counts, and sentences on what is wrong."""
     raw = b"".join(file.read_bytes() for file in sorted(place.glob("journal.sqlite*")) if not file.name.endswith("shm"))
-    whole = {sequence for sequence, text in texts.items() if any(stored in raw for stored in as_stored(sequence, text))}
+    whole = whole_in(raw, stored)
     wrong = []
     journal = Journal(place / "journal.sqlite", "boot-2")
     highest = max(texts)

@@ -3,17 +3,20 @@
 import os
 import signal
 import time
+from functools import partial
 
 from rig import Rig
 from table import Line
 
-DAEMON_KILLS = 150
-WORKER_KILLS = 400
+DAEMON_KILLS = 160
+WORKER_KILLS = 440
 
 
 def run(campaign):
-    yield of_the_daemon(campaign, campaign.count(DAEMON_KILLS))
-    yield of_the_worker(campaign, campaign.count(WORKER_KILLS))
+    """Three nodes whose daemon is killed beside two whose worker is."""
+    daemons = [partial(of_the_daemon, kills=n) for n in campaign.divided(DAEMON_KILLS, 3)]
+    workers = [partial(of_the_worker, wanted=n) for n in campaign.divided(WORKER_KILLS, 2)]
+    return campaign.side_by_side(*daemons, *workers, at_once=5)
 
 
 def of_the_daemon(campaign, kills):
@@ -43,8 +46,7 @@ def of_the_daemon(campaign, kills):
             )
         # at each kill some readings had arrived whose PUBACK was not in the journal yet
         return Line.of("kill", "daemon killed (SIGKILL)", rig.kills, books, recovery=recovery, limit_s=60.0,
-                       allowed_repeats=rig.kills * 70, broken=broken,
-                       remark=f"{books.in_flight} answers in flight")  # fmt: skip
+                       allowed_repeats=rig.kills * 70, broken=broken)  # fmt: skip
 
 
 def of_the_worker(campaign, wanted):

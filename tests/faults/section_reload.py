@@ -3,9 +3,12 @@
 import itertools
 import signal
 import time
+from functools import partial
 
 from rig import Rig
 from table import Line
+
+from sagnode.daemon.node import STOP_DRAIN_S
 
 PERIOD_S = 0.1
 BAD = (
@@ -17,10 +20,13 @@ BAD = (
 
 
 def run(campaign):
-    yield refused(campaign, campaign.count(100))
-    yield accepted(campaign, campaign.count(6))
-    yield stopped(campaign, campaign.count(10))
-    yield climbed(campaign, campaign.count(3))
+    works = [
+        partial(climbed, times=campaign.count(5)),
+        partial(stopped, times=campaign.count(20)),
+        partial(accepted, times=campaign.count(12)),
+        partial(refused, times=campaign.count(100)),
+    ]
+    return campaign.side_by_side(*works, at_once=3)
 
 
 def refused(campaign, times):
@@ -92,7 +98,8 @@ def stopped(campaign, times):
         states = [b'"state":"offline"' in m.payload for m in rig.subscriber.of("status")]
         broken = [] if states.count(True) == starts + 1 else [f"{starts + 1} stops, {states.count(True)} said offline"]
         return Line.of("reload", "stop (SIGTERM)", times, rig.books(), recovery=took, limit_s=5.0, broken=broken,
-                       remark="recovery: time to stop", allowed_repeats=0)  # fmt: skip
+                       remark="recovery: time to stop",
+                       allowed_repeats=20 * sum(seconds > STOP_DRAIN_S for seconds in took))  # fmt: skip
 
 
 def climbed(campaign, times):

@@ -1,5 +1,7 @@
 """What a worker can do wrong, done to the real daemon hundreds of times; between two faults one good reading."""
 
+from functools import partial
+
 from rig import Rig
 from table import Line
 
@@ -17,22 +19,31 @@ GROUPS = {
     "camera: fault, night, stale frame, calibration unreadable": ("camera-fault", "night", "stale", "fatal"),
     "worker slow, or floods its output": ("slow", "noisy"),
 }  # fmt: skip
-COUNTS = (500, 700, 5000, 150, 100, 3600, 100)
+COUNTS = (500, 700, 4800, 150, 100, 3600, 100)
+NODES = (2, 2, 6, 1, 2, 5, 1)
+AT_ONCE = 6
 HANG_DEADLINE_S = 0.4
 
 
 def run(campaign):
-    for (title, kinds), count in zip(GROUPS.items(), COUNTS, strict=True):
-        hangs = "hang" in kinds
-        deadline_s = HANG_DEADLINE_S if hangs else 5.0
-        with Rig(campaign.fresh("worker"), kinds, deadline_s=deadline_s) as rig:
-            wanted = campaign.count(count)
-            rig.start()
-            rig.wait_for(lambda rig=rig, wanted=wanted: injected(rig) >= wanted, 60 + wanted, 1.0)
-            rig.last_run()
-            books = rig.books()
-            # a period here is as long as the daemon takes; what counts is deadline, kill, start
-            yield Line.of("worker", title, injected(rig), books, recovery=rig.recoveries(), limit_s=deadline_s + 10)
+    works = [
+        partial(misbehaving, title=title, kinds=kinds, wanted=wanted)
+        for (title, kinds), count, nodes in zip(GROUPS.items(), COUNTS, NODES, strict=True)
+        for wanted in campaign.divided(count, nodes)
+    ]
+    return campaign.side_by_side(*works, at_once=AT_ONCE)
+
+
+def misbehaving(campaign, title, kinds, wanted):
+    """One node with a worker that fails in these ways."""
+    deadline_s = HANG_DEADLINE_S if "hang" in kinds else 5.0
+    with Rig(campaign.fresh("worker"), kinds, deadline_s=deadline_s) as rig:
+        rig.start()
+        rig.wait_for(lambda: injected(rig) >= wanted, 120 + 2 * wanted, 1.0)
+        rig.last_run()
+        books = rig.books()
+        # a period here is as long as the daemon takes; what counts is deadline, kill, start
+        return Line.of("worker", title, injected(rig), books, recovery=rig.recoveries(), limit_s=deadline_s + 10)
 
 
 def injected(rig):

@@ -1,8 +1,10 @@
 """A few of the campaign's faults, for every run of the tests; `make faults` does all of them, in their hundreds."""
 
 import signal
+import sqlite3
 import time
 
+import campaign
 import pytest
 from brokers import MOSQUITTO
 from campaign import Campaign
@@ -52,6 +54,30 @@ def test_a_damaged_journal_gives_back_what_is_whole(tmp_path):
 
     for line in section_journal.run(Campaign(10 / section_journal.COUNT, 2, tmp_path)):
         assert line.verdict() == []
+
+
+def test_what_is_mutilated_is_read_or_refused_in_words(tmp_path):
+    import section_fuzz
+
+    for line in section_fuzz.run(Campaign(0.001, 3, tmp_path)):
+        assert line.verdict() == []
+        assert line.uncaught == 0
+        assert line.refused > 0
+
+
+def test_every_section_is_in_one_lane():
+    assert sorted((*campaign.LONGEST_FIRST, *campaign.ALONE)) == sorted(campaign.SECTIONS)
+
+
+def test_missing_numbers_are_counted_however_far_they_leapt(tmp_path):
+    with Rig(tmp_path / "node") as rig:
+        rig.start()
+        rig.wait_good(2)
+        rig.last_run()
+        with sqlite3.connect(rig.state / "journal.sqlite") as db:
+            db.execute("UPDATE readings SET sequence = 10000000000 WHERE sequence = 3")
+        books = rig.books()
+    assert books.lost == 10**10 - books.made + 1  # the moved one was never delivered under its new number
 
 
 def test_the_books_see_a_lost_a_repeated_and_a_false_reading(tmp_path):

@@ -158,7 +158,8 @@ def _own_correlation(payload: bytes) -> str | None:
     """The correlation that a refused command bears in its payload; under MQTT 3.1.1 there is no other."""
     try:
         own = json.loads(payload)["correlation"]
-    except (ValueError, TypeError, KeyError, RecursionError):
+        own.encode()  # half a surrogate pair is text in JSON's escapes, and no text that could be sent back
+    except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
         return None
     return own if isinstance(own, str) and len(own) <= CORRELATION_MAX else None
 
