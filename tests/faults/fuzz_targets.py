@@ -24,7 +24,6 @@ from sagnode.calibrate.files import load_intrinsics
 from sagnode.capture.headers import DamagedError, read_header
 from sagnode.capture.images import decode_grey
 from sagnode.cli import fit, plan
-from sagnode.cli.journal_rows import Rows, Wanted
 from sagnode.config import load
 from sagnode.config.document import Document, validate
 from sagnode.config.node import Node
@@ -33,6 +32,7 @@ from sagnode.daemon.alarms import Alarms, Debounce
 from sagnode.daemon.commands import Inbox
 from sagnode.daemon.dialogue import Dialogue
 from sagnode.daemon.journal import Journal
+from sagnode.daemon.journal_reader import Rows, Wanted
 from sagnode.daemon.ladder import Ladder, Steps
 from sagnode.daemon.outbox import Outbox
 from sagnode.daemon.past import recent_readings
