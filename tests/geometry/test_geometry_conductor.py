@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from sagnode.geometry.conductor import (
     catenary_half_angle,
+    conductor_derivatives,
     conductor_points,
     control_points,
     gravity_direction,
@@ -128,3 +129,16 @@ def test_many_curves_at_once_equal_one_by_one() -> None:
         np.testing.assert_allclose(together[i], alone, rtol=1e-12)
     shifted = conductor_points(np.stack([near, near + 1.0]), np.stack([far, far]), sags, swings, t)
     np.testing.assert_allclose(shifted[1], conductor_points(near + 1.0, far, 7.0, -0.2, t), rtol=1e-12)
+
+
+@pytest.mark.parametrize("load", [(), (0.2, -0.1)])
+def test_derivatives_equal_differences(load: tuple[float, ...]) -> None:
+    own, t = np.array([1.0, -3.0, 20.0, 240.0, 110.0, 34.0, 9.0, 0.35]), np.linspace(0.0, 1.0, 11)
+
+    def points(shape: np.ndarray) -> np.ndarray:
+        return conductor_points(shape[:3], shape[3:6], shape[6], shape[7], t, load)
+
+    at, derivatives = conductor_derivatives(own[:3], own[3:6], own[6], own[7], t, load)
+    np.testing.assert_allclose(at, points(own), rtol=1e-12)
+    for k, step in enumerate(1e-4 * np.eye(8)):
+        np.testing.assert_allclose(derivatives[:, :, k], (points(own + step) - points(own - step)) / 2e-4, atol=1e-3)

@@ -12,11 +12,12 @@ frame, and hands on what the landmarks say as a quadratic form that :func:`solve
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from sagnode.geometry.camera import FloatArray, project, projection_derivatives
-from sagnode.geometry.conductor import conductor_points, gravity_direction, load_shapes
+from sagnode.geometry.conductor import conductor_derivatives, gravity_direction, load_shapes
 from sagnode.survey import CAMERA, LOAD, SAG, SIZE, SWING, Survey
 
 CORRELATED_PX = 0.04
@@ -30,6 +31,8 @@ SETTLED = 0.01
 """A step of less than this share of a standard uncertainty is the last."""
 EXACT_STEPS = 2
 """Steps with derivatives of their own; later ones are so short that those of the last of these serve."""
+SHAPE = slice(10, 18)
+"""Attachments, sag and swing among the unknowns."""
 SOURCES = {
     "orientation prior": slice(0, 3),
     "camera position": slice(3, 6),
@@ -111,6 +114,11 @@ class CurveObservations:
     measured: FloatArray
     sigma: FloatArray
 
+    @cached_property
+    def load_shapes(self) -> FloatArray:
+        """What the terms of an uneven load add to the depth there, over the sag (10, M)."""
+        return load_shapes(self.t, LOAD.stop - LOAD.start)
+
 
 @dataclass(frozen=True)
 class Solution:
@@ -155,11 +163,6 @@ class Solution:
         return pieces
 
 
-_STEPS = np.array([1e-3] * 6 + [1e-3, 1e-4])
-"""Steps of the numerical derivatives by attachments (m), sag (m) and swing (rad)."""
-_SHIFTS = np.vstack([np.zeros(8), np.diag(_STEPS)])
-
-
 def solve_camera(survey: Survey, landmarks: LandmarkObservations, iterations: int = 10) -> CameraSolution:
     """The camera's pose and lens from landmarks, with the survey as the prior; ten unknowns."""
     sigma0 = survey.prior_sigma()[CAMERA]
@@ -202,27 +205,24 @@ def _landmark_terms(
 def curve_residual(survey: Survey, theta: FloatArray, curve: CurveObservations) -> FloatArray:
     """Residuals (M,) of the offsets across the curve."""
     intrinsics, pose = survey.camera(theta)
-    own = theta[10:18]
-    load = theta[LOAD] if survey.load_u > 0 else ()
-    points = conductor_points(survey.near + own[0:3], survey.far + own[3:6], own[6], own[7], curve.t, load)
+    points = survey.shape(theta).points(curve.t)
     return np.asarray(np.sum((curve.measured - project(intrinsics, pose, points)[0]) * curve.normal, axis=1))
 
 
 def curve_terms(survey: Survey, theta: FloatArray, curve: CurveObservations) -> tuple[FloatArray, FloatArray]:
     """Residuals (M,) of the offsets across the curve, and the curve's derivatives there by θ (M, 28)."""
     intrinsics, pose = survey.camera(theta)
-    # the shape at θ, and beside it for each of its eight own unknowns, in one call
-    own = theta[10:18] + _SHIFTS
-    near, far = survey.near + own[:, 0:3], survey.far + own[:, 3:6]
-    points = conductor_points(near, far, own[:, 6], own[:, 7], curve.t, theta[LOAD] if survey.load_u > 0 else ())
-    residual = np.sum((curve.measured - project(intrinsics, pose, points[0])[0]) * curve.normal, axis=1)
-    by_point, by_camera = projection_derivatives(intrinsics, pose, points[0])
+    shape = survey.shape(theta)
+    own = (shape.near, shape.far, float(theta[SAG]), float(theta[SWING]))
+    points, by_shape = conductor_derivatives(*own, curve.t, shape.load)
+    residual = np.sum((curve.measured - project(intrinsics, pose, points)[0]) * curve.normal, axis=1)
+    by_point, by_camera = projection_derivatives(intrinsics, pose, points)
     across = np.einsum("mi,mij->mj", curve.normal, by_point)
     jacobian = np.zeros((len(curve.t), SIZE))
     jacobian[:, CAMERA] = np.einsum("mi,mik->mk", curve.normal, by_camera)
-    jacobian[:, 10:18] = np.einsum("mj,kmj->mk", across, (points[1:] - points[0]) / _STEPS[:, None, None])
-    down = across @ gravity_direction(near[0], far[0], own[0, 7])
-    jacobian[:, LOAD] = own[0, 6] * down[:, None] * load_shapes(curve.t, LOAD.stop - LOAD.start).T
+    jacobian[:, SHAPE] = np.einsum("mj,mjk->mk", across, by_shape)
+    down = across @ gravity_direction(own[0], own[1], own[3])
+    jacobian[:, LOAD] = own[2] * down[:, None] * curve.load_shapes.T
     return residual, jacobian
 
 

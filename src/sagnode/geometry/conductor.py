@@ -22,6 +22,10 @@ from numpy.typing import ArrayLike
 
 from sagnode.geometry.camera import FloatArray
 
+_DOWN = np.array([0.0, 0.0, -1.0])
+_IDENTITY = np.eye(3)
+_CLOCKWISE = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
+
 
 def catenary_half_angle(span: ArrayLike, rise: ArrayLike, sag: ArrayLike) -> FloatArray:
     """Half-angle q = L/(2a) of the catenary with vertical sag D at mid-chord, for span L and rise h (same unit).
@@ -30,17 +34,24 @@ def catenary_half_angle(span: ArrayLike, rise: ArrayLike, sag: ArrayLike) -> Flo
     between supports L apart and h different in height, by Newton's method in ln q from the parabola's value.
     """
     span_, rise_, sag_ = (np.asarray(value, dtype=np.float64) for value in (span, rise, sag))
-    slant = np.hypot(span_, rise_)
-    target = np.maximum(sag_, 1e-9 * span_)
-    q = 4 * target / slant
+    slope2 = (rise_ / span_) ** 2
+    target = np.maximum(sag_, 1e-9 * span_) / span_
+    # the parabola's, corrected by the next term of the series
+    q = 4 * target / np.sqrt(1 + slope2)
+    q = q / np.maximum(1 + q * q * (1 / 12 - slope2 / (6 * (1 + slope2))), 0.5)
 
-    for _ in range(5):
+    for _ in range(6):
         # d ln(sag) / d ln q; cosh q - 1 = 2 sinh²(q/2) keeps its digits at small q
-        steep2 = (rise_ * q / (span_ * np.sinh(q))) ** 2
-        value = span_ / q * np.sqrt(1 + steep2) * np.sinh(q / 2) ** 2
-        slope = q / np.tanh(q / 2) - 1 + steep2 / (1 + steep2) * (1 - q / np.tanh(q))
-        q = q * np.exp(np.clip(np.log(target / value) / slope, -1.0, 1.0))
-    return q
+        sinh, excess = np.sinh(q), 2 * np.sinh(0.5 * q) ** 2
+        steep2 = slope2 * (q / sinh) ** 2
+        value = 0.5 * excess / q * np.sqrt(1 + steep2)
+        slope = q * sinh / excess - 1 + steep2 / (1 + steep2) * (1 - q * (1 + excess) / sinh)
+        step = np.clip(np.log(target / value) / slope, -1.0, 1.0)
+        q = q * np.exp(step)
+        # the next step would be about its square
+        if not np.abs(step).max(initial=0.0) > 1e-6:
+            break
+    return np.asarray(q)
 
 
 def sag_profile(span: ArrayLike, rise: ArrayLike, sag: ArrayLike, s: FloatArray) -> FloatArray:
@@ -59,14 +70,14 @@ def sag_profile(span: ArrayLike, rise: ArrayLike, sag: ArrayLike, s: FloatArray)
 
 def gravity_direction(near: FloatArray, far: FloatArray, swing_rad: ArrayLike) -> FloatArray:
     """d(φ) (..., 3): straight down turned by the swing about the chord; positive swings to the right seen from A."""
-    chord = (far - near) / np.linalg.norm(far - near, axis=-1, keepdims=True)
-    down = np.array([0.0, 0.0, -1.0])
+    chord = far - near
+    chord = chord / np.sqrt(np.sum(chord * chord, axis=-1, keepdims=True))
     swing = np.asarray(swing_rad, dtype=np.float64)[..., None]
-    # right of the chord seen from A: forward x up
-    side = np.cross(chord, np.array([0.0, 0.0, 1.0]))
-    # Rodrigues about the chord, sense such that "down" turns towards "side"
-    along = np.sum(chord * down, axis=-1, keepdims=True) * chord
-    return np.asarray(along + np.cos(swing) * (down - along) + np.sin(swing) * side)
+    # Rodrigues about the chord c: (d·c) c + cos φ (d - (d·c) c) + sin φ (c x up), d being straight down
+    along = -chord[..., 2:] * chord
+    side = np.stack([chord[..., 1], -chord[..., 0], np.zeros(chord.shape[:-1])], axis=-1)
+    cosine = np.cos(swing)
+    return np.asarray((1 - cosine) * along + cosine * _DOWN + np.sin(swing) * side)
 
 
 def load_shapes(s: FloatArray, count: int) -> FloatArray:
@@ -111,13 +122,43 @@ def conductor_points(
     return np.asarray(on_chord + profile[..., None] * direction[..., None, :])
 
 
+def conductor_derivatives(
+    near: FloatArray, far: FloatArray, sag: float, swing_rad: float, t: FloatArray, load: ArrayLike = ()
+) -> tuple[FloatArray, FloatArray]:
+    """Points (N, 3) of one conductor, and their derivatives (N, 3, 8) by A (m), B (m), sag D (m) and swing φ (rad).
+
+    Arguments as of :func:`conductor_points`. An attachment carries the chord along and, by turning it, d(φ): with
+    e = (B-A)/|B-A|, ``∂d/∂e = (cos φ - 1)(e zᵀ + e_z I) + sin φ R``, R turning by -90° about z. The catenary's small
+    departure from its parabola is taken to grow as D³ whatever the chord: derivatives are right to a thousandth.
+    """
+    chord = far - near
+    profile = loaded_profile(np.hypot(chord[0], chord[1]), chord[2], sag, t, load)
+    departure = profile - sag * (4 * t * (1 - t) + _uneven(t, load))
+    length = np.sqrt(chord @ chord)
+    unit = chord / length
+    direction, aside = gravity_direction(near, far, np.array([swing_rad, swing_rad + 0.5 * np.pi]))
+    turn = (np.cos(swing_rad) - 1) * (unit[2] * _IDENTITY - unit[:, None] * _DOWN) + np.sin(swing_rad) * _CLOCKWISE
+    turn = turn @ (_IDENTITY - unit[:, None] * unit) / length
+    derivatives = np.empty((len(t), 3, 8))
+    turned = profile[:, None, None] * turn
+    derivatives[:, :, 0:3] = (1 - t)[:, None, None] * _IDENTITY - turned
+    derivatives[:, :, 3:6] = t[:, None, None] * _IDENTITY + turned
+    derivatives[:, :, 6] = ((profile + 2 * departure) / sag)[:, None] * direction
+    # what lies along the chord does not turn
+    derivatives[:, :, 7] = profile[:, None] * (aside - (aside @ unit) * unit)
+    return near + t[:, None] * chord + profile[:, None] * direction, derivatives
+
+
 def loaded_profile(span: ArrayLike, rise: ArrayLike, sag: ArrayLike, s: FloatArray, load: ArrayLike = ()) -> FloatArray:
     """Depth (..., N) below the chord along apparent gravity: the exact catenary, and what an uneven load adds."""
-    profile = sag_profile(span, rise, sag, s)
+    return sag_profile(span, rise, sag, s) + np.asarray(sag, dtype=np.float64)[..., None] * _uneven(s, load)
+
+
+def _uneven(s: FloatArray, load: ArrayLike) -> FloatArray:
+    """What an uneven load adds to the depth below the chord, over D: (..., N), or one zero for an even load."""
     terms = np.asarray(load, dtype=np.float64)
-    if terms.shape[-1]:
-        profile = profile + np.asarray(sag, dtype=np.float64)[..., None] * (terms @ load_shapes(s, terms.shape[-1]))
-    return profile
+    count = terms.shape[-1]
+    return np.asarray(terms @ load_shapes(s, count)) if count else np.zeros(1)
 
 
 def control_points(
