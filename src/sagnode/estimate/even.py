@@ -7,19 +7,21 @@ from dataclasses import replace
 import numpy as np
 
 from sagnode.capture.port import GreyImage
-from sagnode.estimate.matched import STAGES, Matched, attachment_z, refine, view_of
+from sagnode.estimate.matched import STAGES, Matched, attachment_z, refine, remaining_stages, view_of
 from sagnode.estimate.register import Registered
 from sagnode.geometry.camera import FloatArray
 from sagnode.geometry.conductor import gravity_direction
 from sagnode.match.bundle import lines
 from sagnode.match.refine import mixed_samples, near_another, trace
 from sagnode.match.ribbon import line_response, normals
-from sagnode.match.search import search
+from sagnode.match.search import Candidate, search
 from sagnode.match.templates import SAMPLES, STEP_PX, View
 from sagnode.site import SiteConductor
 from sagnode.survey import ATTACHMENTS, SAG, SWING, Survey
 
 CANDIDATES = 4
+COMPARED, COMPARED_SHARE = 32, 0.9
+"""Samples of a refined curve that a candidate is compared at, and the share of them that must be near."""
 VALLEY_NODES = 9
 """Curves along the valley that are projected; the others between them are interpolated."""
 RIVAL_APART_PX = 3.0
@@ -46,6 +48,8 @@ def find_even(image: GreyImage, conductor: SiteConductor, survey: Survey, regist
             break
         if results and candidate.score < OUTDONE * max(r.response for r in results):
             break
+        if any(r.solution.converged and _near_enough(view, candidate, r) for r in results):
+            continue
         start = registered.theta.copy()
         start[ATTACHMENTS] = 0.0
         start[SAG], start[SWING] = candidate.sag, candidate.swing
@@ -57,9 +61,10 @@ def find_even(image: GreyImage, conductor: SiteConductor, survey: Survey, regist
         # known to a pixel is enough to keep out of its way
         return results[0]
     # what is left open by the clear part of the best one, and other candidates that are nearly as good
-    starts = [results[0].solution.theta, *_along_the_valley(image, results[0], conductor)]
-    starts += [r.solution.theta for r in results[1:] if _rivalry(image, results[0], r) > RIVAL_WORTH_A_LOOK]
-    refined = [refine(image, conductor, survey, registered, start, [], STAGES[1:]) for start in starts]
+    again = [results[0], *(r for r in results[1:] if _rivalry(image, results[0], r) > RIVAL_WORTH_A_LOOK)]
+    starts = [(r.solution.theta, remaining_stages(r)) for r in again]
+    starts += [(start, STAGES[1:]) for start in _along_the_valley(image, results[0], conductor)]
+    refined = [refine(image, conductor, survey, registered, start, [], stages) for start, stages in starts]
     aside = _a_spacing_aside(image, results[0], conductor)
     refined += [refine(image, conductor, survey, registered, start, [], STAGES) for start in aside]
     finals = sorted(filter(None, refined), key=_merit, reverse=True)
@@ -67,6 +72,15 @@ def find_even(image: GreyImage, conductor: SiteConductor, survey: Survey, regist
         return None
     rival = max((_rivalry(image, finals[0], other) for other in finals[1:]), default=0.0)
     return replace(finals[0], rival=rival)
+
+
+def _near_enough(view: View, candidate: Candidate, found: Matched) -> bool:
+    """Whether a candidate lies so near a refined curve that its own refinement would come to that one."""
+    track = found.track
+    some = mixed_samples(track, COMPARED)
+    pixels, _ = view.pixels(candidate.sag, candidate.swing, track.t[some])
+    apart = np.abs(np.sum((pixels - track.pixels[some]) * track.normal[some], axis=1))
+    return bool(np.mean(apart < STAGES[1].half_range_px) > COMPARED_SHARE)
 
 
 def _along_the_valley(image: GreyImage, found: Matched, conductor: SiteConductor) -> list[FloatArray]:

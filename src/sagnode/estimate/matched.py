@@ -33,6 +33,9 @@ class Stage:
 
 STAGES = (Stage(8.0, 8.0, 2, 6, 5), Stage(5.0, 8.0, 4, 1, 6), Stage(3.0, 20.0, 8, 1, 12))
 """From the first refinement to the last, which knows the curve to a pixel and follows the wire where it is faint."""
+FOLLOWED_EXTENT, FOLLOWED_SHARE, FOLLOWED_PX = 0.6, 0.97, 0.5
+"""A wire has been followed where its blocks reach over this share of the visible span, and this share of them lies off
+the solved curve by less than so many px."""
 MAX_BLOCKS = 80
 """More blocks say nothing new: neighbours within a few dozen pixels share their error."""
 
@@ -128,6 +131,17 @@ def refine(
         return None
     response = _mixed_response(image, curve)
     return Matched(survey, solution, view, curve, observed, offsets, response)
+
+
+def remaining_stages(found: Matched) -> tuple[Stage, ...]:
+    """What is left to do after a refinement: at once the last stage where the wire was followed along the curve.
+
+    A part of the curve that showed no wire yet may lie several pixels off it, and is approached step by step.
+    """
+    extent = np.ptp(found.offsets.t) / max(np.ptp(found.track.t), 1e-9)
+    explained = np.mean(np.abs(found.solution.residual) < FOLLOWED_PX)
+    followed = found.solution.converged and extent > FOLLOWED_EXTENT and explained > FOLLOWED_SHARE
+    return STAGES[-1:] if followed else STAGES[1:]
 
 
 def _mixed_response(image: GreyImage, track: Track) -> float:
