@@ -29,8 +29,8 @@ CAUCHY_LANDMARK, CAUCHY_CURVE = 3.5, 2.5
 """Standardised residuals at which an observation counts half."""
 SETTLED = 0.01
 """A step of less than this share of a standard uncertainty is the last."""
-EXACT_STEPS = 2
-"""Steps with derivatives of their own; later ones are so short that those of the last of these serve."""
+ANEW = 0.5
+"""A step of more than this many standard uncertainties makes the derivatives be taken anew."""
 SHAPE = slice(10, 18)
 """Attachments, sag and swing among the unknowns."""
 SOURCES = {
@@ -177,7 +177,7 @@ def solve_camera(survey: Survey, landmarks: LandmarkObservations, iterations: in
         precision = np.einsum("nkj,njl->kl", weighted, jacobian)
         pull = np.einsum("nkj,nj->k", weighted, residual)
         step = _scaled_solve(precision + prior, pull - theta[CAMERA] / sigma0**2)
-        if step_number >= 2 and np.all(np.abs(step) < SETTLED * np.sqrt(np.diag(np.linalg.inv(precision + prior)))):
+        if step_number >= 2 and _length(step, np.linalg.inv(precision + prior)) < SETTLED:
             break
         ratio = float(np.max(np.abs(step) / (3 * sigma0)))
         theta[CAMERA] += step / max(1.0, ratio)
@@ -241,8 +241,13 @@ def _robust(z2: FloatArray, limit: float) -> FloatArray:
 def _scaled_solve(matrix: FloatArray, vector: FloatArray) -> FloatArray:
     """Solution of a normal equation whose unknowns have very different sizes."""
     scale = np.sqrt(np.diag(matrix))
-    scaled = matrix / np.outer(scale, scale) + 1e-9 * np.eye(len(scale))
+    scaled = matrix / (scale[:, None] * scale) + 1e-9 * np.eye(len(scale))
     return np.asarray(np.linalg.solve(scaled, vector / scale) / scale)
+
+
+def _length(step: FloatArray, covariance: FloatArray) -> float:
+    """Greatest part of a step (n,), in standard uncertainties of a covariance (n, n)."""
+    return float(np.max(np.abs(step) / np.sqrt(np.diag(covariance))))
 
 
 def solve(
@@ -259,30 +264,32 @@ def solve(
     known[CAMERA, CAMERA] += camera.precision
     target = mean0 / sigma0**2
     target[CAMERA] += camera.vector
+    known_free, target_free, longest = known[np.ix_(free, free)], target[free], 3 * sigma0[free]
     white, correlated = curve.sigma**2, correlated_error(curve.arc, curve.sigma)
+    shared = np.diag(correlated)
+    expected = white + shared
     theta, converged, inflation = start.copy(), False, 1.0
     residual, jacobian = curve_terms(survey, theta, curve)
     for step_number in range(iterations):
-        spread = max(1.4826 * float(np.median(np.abs(residual))), 1e-3)
-        expected = white + np.diag(correlated)
-        weight = _robust(residual**2 / (expected + (0.0 if step_number > 1 else spread**2)), CAUCHY_CURVE)
+        spread = max(1.4826 * float(np.median(np.abs(residual))), 1e-3) if step_number < 2 else 0.0
+        weight = _robust(residual**2 / (expected + spread**2), CAUCHY_CURVE)
         noise = white / np.maximum(weight, 1e-6)
-        inflation = _inflation(residual, noise + np.diag(correlated), weight)
-        gain = np.linalg.solve(np.diag(noise) + correlated, np.column_stack([jacobian[:, free], residual]))
-        gain = gain.T @ jacobian[:, free] / inflation
-        normal = known[np.ix_(free, free)] + gain[:-1]
-        step = _scaled_solve(normal, target[free] - known[np.ix_(free, free)] @ theta[free] + gain[-1])
+        inflation = _inflation(residual, noise + shared, weight)
+        own = jacobian[:, free]
+        gain = np.linalg.solve(np.diag(noise) + correlated, np.column_stack([own, residual])).T @ own / inflation
+        normal = known_free + gain[:-1]
+        step = _scaled_solve(normal, target_free - known_free @ theta[free] + gain[-1])
         # a step farther than the prior allows is a sign of a wrong wire or a wrong survey: walk, don't jump
-        ratio = float(np.max(np.abs(step) / (3 * sigma0[free])))
-        theta[free] += step / max(1.0, ratio)
-        theta[SAG] = np.clip(theta[SAG], 0.2 * survey.sag_range[0], 2 * survey.sag_range[1])
-        theta[SWING] = np.clip(theta[SWING], -1.4, 1.4)
+        theta[free] += step / max(1.0, float(np.max(np.abs(step) / longest)))
+        theta[SAG] = min(max(theta[SAG], 0.2 * survey.sag_range[0]), 2 * survey.sag_range[1])
+        theta[SWING] = min(max(theta[SWING], -1.4), 1.4)
         posterior = np.linalg.inv(normal)
-        if step_number < EXACT_STEPS:
+        length = _length(step, posterior)
+        if length > ANEW:
             residual, jacobian = curve_terms(survey, theta, curve)
         else:
             residual = curve_residual(survey, theta, curve)
-        if step_number >= 2 and np.all(np.abs(step) < SETTLED * np.sqrt(np.diag(posterior))):
+        if step_number >= 2 and length < SETTLED:
             converged = True
             break
     covariance = np.zeros((SIZE, SIZE))
