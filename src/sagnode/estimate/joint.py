@@ -177,7 +177,7 @@ def solve_camera(survey: Survey, landmarks: LandmarkObservations, iterations: in
         precision = np.einsum("nkj,njl->kl", weighted, jacobian)
         pull = np.einsum("nkj,nj->k", weighted, residual)
         step = _scaled_solve(precision + prior, pull - theta[CAMERA] / sigma0**2)
-        if step_number >= 2 and _length(step, np.linalg.inv(precision + prior)) < SETTLED:
+        if step_number >= 2 and _length(step, np.asarray(np.linalg.inv(precision + prior))) < SETTLED:
             break
         ratio = float(np.max(np.abs(step) / (3 * sigma0)))
         theta[CAMERA] += step / max(1.0, ratio)
@@ -283,7 +283,7 @@ def solve(
         theta[free] += step / max(1.0, float(np.max(np.abs(step) / longest)))
         theta[SAG] = min(max(theta[SAG], 0.2 * survey.sag_range[0]), 2 * survey.sag_range[1])
         theta[SWING] = min(max(theta[SWING], -1.4), 1.4)
-        posterior = np.linalg.inv(normal)
+        posterior = np.asarray(np.linalg.inv(normal))
         length = _length(step, posterior)
         if length > ANEW:
             residual, jacobian = curve_terms(survey, theta, curve)

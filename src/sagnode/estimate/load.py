@@ -95,7 +95,10 @@ def even_or_not(
     # both explanations of the same offsets; an even load that sees little of the wire must not choose what to explain
     simple = solve(plain, even.solution.theta, registered.camera, found.offsets, STAGES[-1].iterations)
     odds = log_odds(found.solution, survey, simple, plain)
-    return replace(found, rival=even.rival) if odds > least_odds else even
+    if odds <= least_odds:
+        return even
+    # the even curve's rivals, held against what this one shows
+    return replace(found, rival=even.rival * min(1.0, even.response / max(found.response, 1e-3)))
 
 
 def _tilted(
