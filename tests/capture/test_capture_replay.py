@@ -170,6 +170,7 @@ def test_a_video_keeps_its_rate_and_its_start(tmp_path: Path) -> None:
 def test_what_cannot_be_replayed_says_why(tmp_path: Path) -> None:
     for path, says in [
         (tmp_path / "none", "no such file"),
+        (tmp_path / ("x" * 300), "File name too long"),
         (tmp_path, "no pictures"),
         (tmp_path / "*.png", "no pictures"),
     ]:

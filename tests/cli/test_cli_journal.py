@@ -141,6 +141,8 @@ def test_no_journal_and_no_database_are_one_line_each(tmp_path: Path, capsys: Ca
     (tmp_path / "journal.sqlite").write_bytes(b"no database" * 500)
     assert main(["export", "--state-dir", str(tmp_path)]) == 1
     assert "file is not a database" in capsys.readouterr().err
+    assert main(["history", "--state-dir", str(tmp_path / ("x" * 300))]) == 1
+    assert "File name too long" in capsys.readouterr().err
 
 
 def test_the_state_directory_comes_from_the_configuration_or_from_systemd(

@@ -64,7 +64,7 @@ def test_every_command_has_a_help_of_its_own_and_the_line_of_the_table(
     said = capsys.readouterr().out
     assert said.startswith(f"usage: sagnode {name}")
     assert cli.main(["help", name]) == 0
-    assert importlib.import_module(f"sagnode.cli.{name}").HELP
+    assert importlib.import_module(f"sagnode.cli.{name}").DESCRIPTION
 
 
 def test_version_and_help_import_nothing_heavy() -> None:
@@ -79,7 +79,7 @@ def test_version_and_help_import_nothing_heavy() -> None:
 class _Failing:
     """A command that fails as told."""
 
-    HELP = "fails"
+    DESCRIPTION = "fails"
 
     def __init__(self, error: BaseException) -> None:
         self._error = error

@@ -39,6 +39,7 @@ def test_a_day_needs_stringing_data(tmp_path: Path, capsys: pytest.CaptureFixtur
     [
         ["--sag", "deep"],
         ["--sag", "-1"],
+        ["--sag", "3:"],
         ["--frames", "0"],
         ["--cloud", "2"],
         ["--every", "nan"],

@@ -32,3 +32,8 @@ def test_out_writes_and_says_where(tmp_path: Path, capsys: pytest.CaptureFixture
     assert main(["schema", "--out", str(tmp_path / "s")]) == 0
     assert len(list((tmp_path / "s").iterdir())) == len(NAMES)
     assert f"wrote {tmp_path}/s/node.schema.json" in capsys.readouterr().out
+
+
+def test_out_with_a_name_writes_that_one_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["schema", "reading", "--out", str(tmp_path)]) == 0
+    assert [file.name for file in tmp_path.iterdir()] == ["reading.schema.json"]

@@ -27,16 +27,18 @@ def find_track(path: str) -> Track:
         FrameError: nothing there, or nothing that is a picture or video.
     """
     place = Path(path)
-    if place.is_file() and place.suffix.lower() in VIDEOS:
-        return Video(place)
     pictures = Pictures(path)
+    if place.suffix.lower() in VIDEOS and place.is_file():
+        return Video(place)
     if pictures.count() == 0:
         kinds = ", ".join(sorted(PICTURES | VIDEOS))
         if place.is_dir() or _is_glob(path):
             raise FrameError(f"replay {path}: no pictures there", f"known are {kinds}")
         if place.exists():
             raise FrameError(f"replay {path}: neither a picture nor a video", f"known are {kinds}")
-        raise FrameError(f"replay {path}: no such file or directory", "check camera.replay.path")
+        raise FrameError(
+            f"replay {path}: no such file or directory", "check the path; in a node file it is camera.replay.path"
+        )
     return pictures
 
 
@@ -75,6 +77,12 @@ class Pictures(Track):
         self._files = self._list()
 
     def _list(self) -> list[Path]:
+        try:
+            return self._found()
+        except OSError as error:
+            raise FrameError(f"replay {self._path}: {error.strerror}", "check who may read it, and the disk") from None
+
+    def _found(self) -> list[Path]:
         place = Path(self._path)
         if place.is_dir():
             found = list(place.iterdir())

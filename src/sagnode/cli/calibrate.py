@@ -14,13 +14,11 @@ from sagnode.errors import ConfigError, FrameError
 if TYPE_CHECKING:
     from sagnode.calibrate.zhang import Board, Calibration, View
 
-HELP = "intrinsics of a camera from pictures of a calibration board"
-EPILOG = """\
-Print a chessboard, glue it to a flat plate, fix the lens's focus where it will stay, and take 15 to 30 pictures: board
-filling a third to all of the frame, in every corner of it, tilted by 20 to 45 degrees to all sides, never blurred.
+DESCRIPTION = """Find the intrinsics of a camera from pictures of a calibration board.
 
-exit code: 0 the camera is well known, 1 written but with reservations (or not enough views), 2 usage
-"""
+Print a chessboard, glue it to a flat plate, fix the lens's focus where it will stay, and take 15 to 30 pictures: board
+filling a third to all of the frame, in every corner of it, tilted by 20 to 45 degrees to all sides, never blurred."""
+EPILOG = """exit codes: 0 the camera is well known, 1 written but with reservations (or not enough views), 2 usage"""
 _ENOUGH_VIEWS = 10
 _GOOD_RMS_PX = 0.5
 _GOOD_FOCAL = 0.002
@@ -58,7 +56,7 @@ def run(args: argparse.Namespace) -> int:
         for name, why in unusable.items():
             print(f"  {name}: {why}", file=sys.stderr)
         remedy = f"take more pictures in which all {args.board} inner corners are sharp"
-        raise FrameError(f"no calibration from {len(args.images)} pictures: {error}", remedy) from None
+        raise FrameError(f"no calibration: {error}", remedy) from None
     reservations = judge(result)
     if args.out:
         notes = {

@@ -9,21 +9,27 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from sagnode.cli.numbers import between, whole
 from sagnode.errors import ConfigError, EndOfFrames, FrameError
 
 if TYPE_CHECKING:
     from sagnode.capture.port import Frame
 
-HELP = "take pictures with the configured camera"
-EPILOG = "exit code: 0 all taken, 1 the camera failed, 2 usage or bad configuration"
+DESCRIPTION = """Take pictures with the configured camera, as PNG with time and camera settings beside each. The
+service must not have the camera open meanwhile: systemctl stop sagnode."""
+EPILOG = "exit codes: 0 all taken, 1 the camera failed, 2 usage or bad configuration"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
-    parser.add_argument("--config", required=True, type=Path, metavar="FILE", help="the node file")
+    parser.add_argument(
+        "--config", required=True, type=Path, metavar="PATH", help="node file, or the directory that holds node.toml"
+    )
     parser.add_argument("--out", required=True, type=Path, metavar="DIR", help="where to write; made if missing")
-    parser.add_argument("--count", type=int, default=1, metavar="N", help="how many pictures (default 1)")
-    parser.add_argument("--interval", type=float, default=0.0, metavar="S", help="least time between two (default 0)")
+    parser.add_argument("--count", type=whole(1, 100_000), default=1, metavar="N", help="how many pictures (default 1)")
+    parser.add_argument(
+        "--interval", type=between(0, 86_400), default=0.0, metavar="S", help="least time between two (default 0)"
+    )
     parser.add_argument("--json", action="store_true", help="print one JSON object a picture")
 
 
@@ -32,8 +38,6 @@ def run(args: argparse.Namespace) -> int:
     from sagnode.capture import open_source
     from sagnode.config.load import load_node
 
-    if not 1 <= args.count <= 100_000 or not 0 <= args.interval <= 86_400:
-        raise ConfigError("--count and --interval: out of range", "1 to 100000 pictures, 0 to 86400 s apart")
     camera = load_node(args.config).node.camera
     try:
         args.out.mkdir(parents=True, exist_ok=True)

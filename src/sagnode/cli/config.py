@@ -7,10 +7,11 @@ import json
 import sys
 from importlib import resources
 from pathlib import Path
+from typing import Any
 
 from sagnode.errors import ConfigError, SagnodeError
 
-HELP = "write, check and show the configuration"
+DESCRIPTION = "Write, check and show the configuration."
 EPILOG = "exit codes: 0 fine (or warnings only), 1 a file cannot be written, 2 usage or bad configuration"
 
 TEMPLATES = ("node.toml", "span.toml")
@@ -19,16 +20,21 @@ TEMPLATES = ("node.toml", "span.toml")
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """``init``, ``check`` and ``show``."""
     actions = parser.add_subparsers(dest="action", required=True, metavar="{init,check,show}")
-    init = actions.add_parser("init", help="write a commented node.toml and span.toml to start from")
+    init = _action(actions, "init", "write a commented node.toml and span.toml to start from")
     init.add_argument("--out", type=Path, default=Path(), metavar="DIR", help="directory to write into (default: here)")
     init.add_argument("--force", action="store_true", help="write over files that are there")
-    check = actions.add_parser("check", help="explain every fault and everything odd in one go")
+    check = _action(actions, "check", "explain every fault and everything odd in one go")
     _add_config(check)
     check.add_argument("--json", action="store_true", help="as JSON")
-    show = actions.add_parser("show", help="the configuration in effect, defaults included")
+    show = _action(actions, "show", "the configuration in effect, defaults included")
     _add_config(show)
     show.add_argument("--changed", action="store_true", help="only what differs from the defaults")
     show.add_argument("--json", action="store_true", help="as JSON")
+
+
+def _action(actions: Any, name: str, text: str) -> argparse.ArgumentParser:
+    parser: argparse.ArgumentParser = actions.add_parser(name, help=text, description=f"{text[0].upper()}{text[1:]}.")
+    return parser
 
 
 def _add_config(parser: argparse.ArgumentParser) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-HELP = "a simulated day of one span: the real daemon, a broker, a plot"
 DESCRIPTION = """Replays a day of rendered frames of a 110 kV span with three conductors through the real daemon, on a
 clock that skips idle time, and prints every reading as it arrives at a subscriber. Where the configuration names no
 broker one is brought along (mosquitto if installed, else amqtt). Afterwards there is a plot of the day against the

@@ -13,7 +13,6 @@ from sagnode.errors import ConfigError
 if TYPE_CHECKING:
     from sagnode.doctor.findings import Finding
 
-HELP = "look a node over: configuration, camera, disk, broker, clock, watchdog"
 DESCRIPTION = """Look a node over before it is trusted, or when it does not do what it should: configuration, state
 directory and journal, calibration, reference picture, camera and a reading through it, the broker step by step, clock,
 watchdogs, service, versions. It changes nothing, publishes nothing, and may run beside the daemon: the camera and the

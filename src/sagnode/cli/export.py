@@ -16,7 +16,6 @@ from sagnode.daemon.journal_reader import Rows, Stored
 from sagnode.errors import SagnodeError
 from sagnode.message import QUANTITIES
 
-HELP = "write readings out of the journal as CSV or JSON lines"
 DESCRIPTION = """Write readings of the journal, oldest first. CSV has one row a reading and a column for every value,
 its standard uncertainty and its 95 % interval (empty where there is none); JSON lines are the published messages with
 their delivery. Works beside the running service and without it."""

@@ -15,7 +15,6 @@ if TYPE_CHECKING:
 
     from sagnode.match.fit import FitResult
 
-HELP = "trace one conductor between two points of any photograph"
 DESCRIPTION = """Fit one curve to a conductor between two points of a photograph, given in pixels (u to the right,
 v down, 0,0 the centre of the upper left pixel). Nothing need be known about camera or span; the result is in pixels.
 A point may lie outside the picture, by up to its width or height on either side, where the conductor leaves it."""

@@ -8,10 +8,10 @@ import sys
 from typing import Any
 
 from sagnode.cli.journal_words import add_filters, journal_path, wanted
+from sagnode.cli.numbers import whole
 from sagnode.daemon.journal_reader import Rows, Stored
 from sagnode.message import QUANTITIES, Estimate
 
-HELP = "list readings out of the journal"
 DESCRIPTION = "List the newest readings of the journal, oldest first. Works beside the running service and without it."
 EPILOG = "exit codes: 0 fine, 1 no journal, or damaged readings in it were left out, 2 usage or bad configuration"
 
@@ -19,7 +19,7 @@ EPILOG = "exit codes: 0 fine, 1 no journal, or damaged readings in it were left 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Which readings."""
     add_filters(parser)
-    parser.add_argument("--last", type=_count, default=20, metavar="N", help="how many (default: 20)")
+    parser.add_argument("--last", type=whole(1, 1_000_000), default=20, metavar="N", help="how many (default: 20)")
     parser.add_argument("--json", action="store_true", help="as JSON, one object with all readings")
 
 
@@ -72,9 +72,3 @@ def estimates(document: dict[str, Any]) -> dict[str, Estimate]:
         if len(known) == 4:
             found[quantity.stem] = Estimate(*known)
     return found
-
-
-def _count(text: str) -> int:
-    if not text.isdecimal() or not 1 <= int(text) <= 1_000_000:
-        raise argparse.ArgumentTypeError(f"'{text}' must be a whole number from 1 to 1000000")
-    return int(text)

@@ -47,7 +47,12 @@ def journal_path(args: argparse.Namespace) -> Path:
         if args.state_dir is None and not (directory / JOURNAL).exists() and (SERVICE_STATE / JOURNAL).exists():
             directory = SERVICE_STATE
     path: Path = directory / JOURNAL
-    if not path.exists():
+    try:
+        found = path.exists()
+    except OSError as error:
+        remedy = "run this as the service's user: sudo -u sagnode sagnode ..."
+        raise JournalError(f"journal {path}: {error.strerror}", remedy) from None
+    if not found:
         remedy = "name the node's directory with --state-dir, or its file with --config; sagnode run makes the journal"
         raise JournalError(f"there is no journal at {path}", remedy)
     return path

@@ -2,10 +2,10 @@
 
 Exit codes: 0 fine, 1 degraded or failed, 2 usage or bad configuration, 70 a defect of sagnode itself, 130 interrupted.
 
-A command is a module with ``HELP`` (one line), ``add_arguments(parser)`` and ``run(args) -> int``; it may have a
-``DESCRIPTION`` and an ``EPILOG`` for its own help, and ``arrange(words) -> words`` to put its words in order before
-they are parsed. Nothing is imported for ``--version`` and ``--help``, and a command imports only what it uses, so that
-``sagnode status`` answers at once on a Raspberry Pi.
+A command is a module with ``DESCRIPTION``, ``add_arguments(parser)`` and ``run(args) -> int``; it may have an
+``EPILOG`` for its help, and ``arrange(words) -> words`` to put its words in order before they are parsed. Nothing is
+imported for ``--version`` and ``--help``, and a command imports only what it uses, so that ``sagnode status`` answers
+at once on a Raspberry Pi.
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ NAMES: tuple[str, ...] = tuple(name for _, commands in COMMANDS for name, _ in c
 class Command(Protocol):
     """What a command's module offers."""
 
-    HELP: str
+    DESCRIPTION: str
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
         """Declare the command's own arguments."""
@@ -131,7 +131,7 @@ def _dispatch(words: list[str]) -> int:
     command = cast(Command, importlib.import_module(f"sagnode.cli.{name}"))
     parser = argparse.ArgumentParser(
         prog=f"sagnode {name}",
-        description=getattr(command, "DESCRIPTION", command.HELP),
+        description=command.DESCRIPTION,
         epilog=getattr(command, "EPILOG", None),
         formatter_class=argparse.RawDescriptionHelpFormatter,
         allow_abbrev=False,

@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from sagnode.measurement import ConductorMeasurement
     from sagnode.site import Site
 
-HELP = "sag and clearance on pictures of a configured span"
 DESCRIPTION = """Measure every conductor of a span on pictures of it. Each picture is one reading; with --burst all
 of them are the frames of one reading. A picture that cannot be read gives an invalid reading with its reason."""
 EPILOG = "exit codes: 0 every reading has values, 1 a reading is invalid, 2 usage or bad configuration"

@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from sagnode.plan.lenses import Sensor
     from sagnode.plan.study import Row
 
-HELP = "what accuracy a camera, a lens and a place would give, before anyone climbs"
 DESCRIPTION = """Expected uncertainty of sag and clearance of every conductor, from a span file alone: the node's own
 measurement on the frame that the planned camera would see, at three sags and in wind, with what the uncertainty is made
 of and what would help most. Calibration, reference picture and clicks need not be there yet. Several lenses or places

@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from sagnode.site import Site
     from sagnode.trend.watch import Trend
 
-HELP = "measure stored frames again: readings as JSON lines, and how they compare"
 DESCRIPTION = """Measure the frames of a directory, glob or video in their order, as the node would have: the same
 bursts, judgement and watch over the readings' trend. Times come from the files' names, their EXIF or the files
 themselves. Where a truth lies beside the frames (sagnode scene), the readings are compared with it; with --against,

@@ -7,7 +7,6 @@ import logging
 import os
 from pathlib import Path
 
-HELP = "measure and publish on schedule, until stopped (what the service runs)"
 DESCRIPTION = """Measure on schedule, keep every reading in the journal, publish to the broker. SIGTERM stops it,
 SIGHUP has it read its configuration anew (a bad one is refused and the old one stays in force)."""
 EPILOG = "exit codes: 0 stopped or replay ended, 1 the state directory cannot be used, 2 usage or bad configuration"

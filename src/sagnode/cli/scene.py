@@ -8,13 +8,12 @@ from datetime import UTC, date, datetime, timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from sagnode.cli.numbers import finite, positive
+from sagnode.cli.numbers import between, finite, positive, whole
 
 if TYPE_CHECKING:
     from sagnode.config.span import Span
     from sagnode.scene.spec import Moment, Scene, World
 
-HELP = "render frames of a span with the truth beside them"
 DESCRIPTION = """Render the configured span as its camera would see it: exact catenaries, sky, ground, trees, towers,
 blur, noise and lens distortion. Beside each picture stands a JSON file with the truth. The same arguments give the
 same pixels. With --day the conductors' temperature, load, wind and sun make a day of it; that needs stringing data
@@ -28,14 +27,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--config", type=Path, required=True, metavar="PATH", help="node file, span file, or the directory of either"
     )
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="directory to write into")
-    parser.add_argument("--frames", type=_count, default=1, metavar="N", help="how many (default: 1)")
+    parser.add_argument("--frames", type=whole(1, 100_000), default=1, metavar="N", help="how many (default: 1)")
     parser.add_argument("--every", type=positive, default=300.0, metavar="S", help="seconds between (default: 300)")
     parser.add_argument("--day", type=_day, metavar="YYYY-MM-DD", help="a day from midnight UTC on, with its weather")
     parser.add_argument("--sag", type=_sags, metavar="M[:M]", help="sag, or from:to (default: middle of the range)")
     parser.add_argument("--swing", type=finite, default=0.0, metavar="DEG", help="swing of all conductors")
     parser.add_argument("--fog", type=_not_negative, default=1.5e-4, metavar="PER_M", help="0.02 is dense fog")
-    parser.add_argument("--rain", type=_share, default=0.0, metavar="0..1", help="0 is none")
-    parser.add_argument("--cloud", type=_share, default=0.4, metavar="0..1", help="0 is a clear sky")
+    parser.add_argument("--rain", type=between(0, 1), default=0.0, metavar="0..1", help="0 is none")
+    parser.add_argument("--cloud", type=between(0, 1), default=0.4, metavar="0..1", help="0 is a clear sky")
     parser.add_argument("--lens", choices=("clear", "covered", "fogged", "drops"), default="clear")
     parser.add_argument(
         "--backdrop",
@@ -128,22 +127,9 @@ def _not_negative(text: str) -> float:
     return value
 
 
-def _share(text: str) -> float:
-    value = finite(text)
-    if not 0 <= value <= 1:
-        raise argparse.ArgumentTypeError(f"{text} must be from 0 to 1")
-    return value
-
-
-def _count(text: str) -> int:
-    if not text.isdecimal() or not 1 <= int(text) <= 100_000:
-        raise argparse.ArgumentTypeError(f"'{text}' must be a whole number from 1 to 100000")
-    return int(text)
-
-
 def _sags(text: str) -> tuple[float, float]:
-    first, _, last = text.partition(":")
-    return positive(first), positive(last or first)
+    first, colon, last = text.partition(":")
+    return positive(first), positive(last if colon else first)
 
 
 def _day(text: str) -> date:

@@ -9,7 +9,6 @@ from typing import Any
 
 from sagnode.errors import SagnodeError
 
-HELP = "JSON Schemas of the messages and of the configuration, and the AsyncAPI document"
 DESCRIPTION = """Print the JSON Schema (draft 2020-12) of one message or configuration file, the AsyncAPI 3 document
 of everything on MQTT (asyncapi), or write all of them. Editors that know TOML take those of node and span for
 completion; consumers generate their code from the others."""
@@ -20,14 +19,14 @@ NAMES = (*MESSAGES, "node", "span", "asyncapi")
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """One schema by name, or all into a directory."""
-    parser.add_argument("name", nargs="?", choices=NAMES, help="the one to print; without it and --out: all, by name")
-    parser.add_argument("--out", type=Path, metavar="DIR", help="write them: <name>.schema.json, asyncapi.json")
+    parser.add_argument("name", nargs="?", choices=NAMES, help="which one; without it all")
+    parser.add_argument("--out", type=Path, metavar="DIR", help="write <name>.schema.json, asyncapi.json there")
 
 
 def run(args: argparse.Namespace) -> int:
     """Print or write."""
     if args.out:
-        for path, text in schema_files(args.out).items():
+        for path, text in schema_files(args.out, args.name).items():
             try:
                 path.parent.mkdir(parents=True, exist_ok=True)
                 path.write_text(text, encoding="utf-8")
@@ -63,9 +62,9 @@ def schemas() -> dict[str, dict[str, Any]]:
     return {name: documents[name] for name in NAMES}
 
 
-def schema_files(directory: Path) -> dict[Path, str]:
+def schema_files(directory: Path, only: str | None = None) -> dict[Path, str]:
     """The files that ``--out`` writes, with their content."""
-    return {directory / file_name(name): _text(schema) for name, schema in schemas().items()}
+    return {directory / file_name(name): _text(schema) for name, schema in schemas().items() if only in {None, name}}
 
 
 def file_name(name: str) -> str:

@@ -18,7 +18,9 @@ from sagnode.daemon.places import configured_state_dir, usual_state_dir
 from sagnode.daemon.report import duration, examine, moment
 from sagnode.errors import ConfigError
 
-HELP = "what the node is doing: last readings, camera, broker, disk, clock"
+DESCRIPTION = """Tell what the node is doing: last readings, camera, broker, disk, clock. Answers also when the daemon
+hangs or does not run; without --config and --state-dir it looks at the user's own node, or else at the installed
+service."""
 EPILOG = """exit codes: 0 fine; 1 degraded (not running, a reading invalid or stale, broker down, disk in trouble);
 2 usage or no such configuration"""
 _WATCH_S = 2.0

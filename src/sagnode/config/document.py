@@ -14,7 +14,7 @@ from typing import Any, TypeVar
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
-from sagnode.config.faults import Fault, key_text, sentence, suggestion, toml_fault, unknown_key_text
+from sagnode.config.faults import Fault, Unreadable, key_text, sentence, suggestion, toml_fault, unknown_key_text
 from sagnode.config.lines import KeyPath, key_lines, nearest_line
 
 ModelT = TypeVar("ModelT", bound=BaseModel)
@@ -45,7 +45,7 @@ def read_document(path: Path) -> Document:
     document = Document(path)
     content = read_file(path)
     if isinstance(content, str):
-        document.blame((), content)
+        document.faults.append(Unreadable(path, None, "", content))
         return document
     try:
         # A byte order mark is what Windows' Notepad puts in front.

@@ -35,6 +35,14 @@ class Fault:
         return f"{place}: {self.key}: {self.text}" if self.key else f"{place}: {self.text}"
 
 
+@dataclass(frozen=True)
+class Unreadable(Fault):
+    """A file that cannot be had at all: its sentence names it."""
+
+    def __str__(self) -> str:
+        return self.text
+
+
 def key_text(path: Iterable[str | int]) -> str:
     """A key path as a person writes it.
 

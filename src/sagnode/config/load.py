@@ -17,7 +17,7 @@ from typing import Any
 from sagnode.config import node as node_model
 from sagnode.config import span as span_model
 from sagnode.config.document import Document, read_document, read_file, salvage, salvage_list, validate
-from sagnode.config.faults import Fault
+from sagnode.config.faults import Fault, Unreadable
 from sagnode.config.node import Node
 from sagnode.config.span import Span
 from sagnode.errors import ConfigError
@@ -186,7 +186,10 @@ _INIT = "'sagnode config init' writes files to start from"
 
 def refusal(path: Path, faults: Iterable[Fault]) -> ConfigError:
     """The error that tells every fault of a configuration."""
+    faults = tuple(faults)
     sentences = tuple(str(fault) for fault in faults)
+    if any(isinstance(fault, Unreadable) for fault in faults):
+        return ConfigError(sentences[0], f"check the path and who may read it; {_INIT}", sentences)
     what = sentences[0] if len(sentences) == 1 else f"{len(sentences)} faults in the configuration {path}"
     return ConfigError(what, f"mend this, then look again with: sagnode config check --config {path}", sentences)
 
