@@ -16,6 +16,7 @@ from sagnode.estimate.judge import look
 from sagnode.estimate.locate import locate
 from sagnode.estimate.register import register
 from sagnode.estimate.tell import refused, tell
+from sagnode.match.appearances import Appearances
 from sagnode.measurement import ConductorMeasurement, FrameMeasurement
 from sagnode.reference.measure import measure_by_reference
 from sagnode.site import Site, load_site
@@ -23,18 +24,21 @@ from sagnode.site import Site, load_site
 __all__ = ["load_site", "measure_burst", "measure_frame"]
 
 
-def measure_burst(site: Site, images: Sequence[GreyImage]) -> list[ConductorMeasurement]:
-    """One reading of every measured conductor from the frames (height, width) uint8 of one burst."""
-    return combine_burst([measure_frame(site, image) for image in images])
+def measure_burst(site: Site, images: Sequence[GreyImage], kept: Appearances = ()) -> list[ConductorMeasurement]:
+    """One reading of every measured conductor from the frames (height, width) uint8 of one burst.
+
+    ``kept``: further appearances of the site's landmarks, where a node has learnt some.
+    """
+    return combine_burst([measure_frame(site, image, kept) for image in images])
 
 
-def measure_frame(site: Site, image: GreyImage) -> list[FrameMeasurement]:
+def measure_frame(site: Site, image: GreyImage, kept: Appearances = ()) -> list[FrameMeasurement]:
     """Measure every conductor of the span in one frame."""
     # explain: where something is refused, is it the lens, fog or night?
-    return explain(site, image, _measured(site, image))
+    return explain(site, image, _measured(site, image, kept))
 
 
-def _measured(site: Site, image: GreyImage) -> list[FrameMeasurement]:
+def _measured(site: Site, image: GreyImage, kept: Appearances) -> list[FrameMeasurement]:
     # look: can anything be seen at all?
     reasons = look(site, image)
     if reasons:
@@ -43,7 +47,7 @@ def _measured(site: Site, image: GreyImage) -> list[FrameMeasurement]:
         # the paper's matchers know no landmarks and no uncertainty; they are here to be compared with
         return measure_by_reference(site, image)
     # register: where is the camera now?
-    registered, reasons = register(site, image)
+    registered, reasons = register(site, image, kept)
     if reasons:
         return refused(site, reasons, registered)
     # match and refine, then solve: every conductor, known neighbours included

@@ -9,7 +9,9 @@ import numpy as np
 
 from sagnode.capture.port import GreyImage
 from sagnode.estimate.joint import NOTHING_KNOWN, CameraKnowledge, CameraSolution, LandmarkObservations, solve_camera
+from sagnode.estimate.recognise import recognise
 from sagnode.geometry.camera import FloatArray
+from sagnode.match.appearances import Appearances
 from sagnode.match.landmarks import Tracked, track
 from sagnode.quality import Cause, Reason
 from sagnode.site import Site
@@ -38,8 +40,14 @@ class Registered:
     movement_px: float | None
 
 
-def register(site: Site, image: GreyImage) -> tuple[Registered, list[Reason]]:
-    """Where the camera is in this frame: landmarks found in it, with the surveyed pose as the prior."""
+def register(site: Site, image: GreyImage, kept: Appearances = ()) -> tuple[Registered, list[Reason]]:
+    """Where the camera is in this frame: landmarks found in it, with the surveyed pose as the prior.
+
+    Args:
+        site: what is known beforehand.
+        image: the frame (height, width) uint8.
+        kept: appearances of the landmarks beside those of the reference picture, if any are kept.
+    """
     survey = site.conductors[0].survey
     start = survey.prior_mean()
     if not len(site.landmark_ids):
@@ -59,6 +67,8 @@ def register(site: Site, image: GreyImage) -> tuple[Registered, list[Reason]]:
     tracked = track(image, list(site.patches), site.max_movement_px + 8)
     possible = int(tracked.visible.sum())
     needed = min(max(MIN_LANDMARKS, math.ceil(MIN_SHARE * possible)), max(1, possible))
+    if kept:
+        tracked = recognise(site, image, tracked, kept, needed)
     if tracked.count < needed:
         text = (
             f"{tracked.count} of {possible} landmarks recognised (needs {needed}): fog, night, a covered lens"

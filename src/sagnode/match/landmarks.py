@@ -7,7 +7,9 @@ brightness and contrast have been equalised. Only crops are touched.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from datetime import datetime
 
 import cv2
 import numpy as np
@@ -53,6 +55,7 @@ class Tracked:
         correlation: best normalised correlation (N,).
         found: which landmarks agree on one camera movement (N,).
         visible: which landmarks lie wholly in the reference picture and have texture, so that they could be found (N,).
+        cut_at: of landmarks found by a kept appearance and not by the reference's patch: when that was cut, by number.
     """
 
     pixels: FloatArray
@@ -60,6 +63,7 @@ class Tracked:
     correlation: FloatArray
     found: NDArray[np.bool_]
     visible: NDArray[np.bool_]
+    cut_at: Mapping[int, datetime] = field(default_factory=dict)
 
     @property
     def count(self) -> int:
@@ -78,6 +82,10 @@ def cut_patch(reference: GreyImage, pixel: tuple[float, float], size_px: int) ->
     return Patch(np.array(pixel), image) if float(image.std()) >= MIN_TEXTURE else None
 
 
+Peak = tuple[float, float, float]
+"""A place where a patch may be: (du, dv) from where it was clicked, whole pixels, and its correlation there."""
+
+
 def track(frame: GreyImage, patches: list[Patch | None], reach_px: float) -> Tracked:
     """Find patches within ``reach_px`` of where they were clicked.
 
@@ -86,26 +94,26 @@ def track(frame: GreyImage, patches: list[Patch | None], reach_px: float) -> Tra
     """
     n = len(patches)
     pixels, sigma, best = np.full((n, 2), np.nan), np.full(n, np.nan), np.zeros(n)
-    options: list[list[tuple[float, float, float]]] = []
+    options: list[list[Peak]] = []
     for i, patch in enumerate(patches):
-        peaks = [] if patch is None else _peaks(frame, patch, int(np.ceil(reach_px)))
-        options.append(peaks)
-        best[i] = max((p[2] for p in peaks), default=0.0)
+        found_peaks = [] if patch is None else peaks(frame, patch, reach_px)
+        options.append(found_peaks)
+        best[i] = max((p[2] for p in found_peaks), default=0.0)
     found = np.zeros(n, dtype=bool)
-    chosen = _consensus(patches, options)
-    for i, shift in chosen.items():
+    chosen = consensus(patches, options)
+    for i, peak in chosen.items():
         patch = patches[i]
         if patch is None:
             continue
-        refined, error = _refine(frame, patch, np.asarray(shift))
+        refined, error = refine(frame, patch, peak)
         pixels[i], sigma[i], found[i] = refined, error, True
     visible = np.array([p is not None for p in patches], dtype=bool)
     return Tracked(pixels, sigma, best, found, visible)
 
 
-def _peaks(frame: GreyImage, patch: Patch, reach: int) -> list[tuple[float, float, float]]:
-    """Up to five (du, dv, correlation) at least NCC_MIN, best first."""
-    half = patch.image.shape[0] // 2
+def peaks(frame: GreyImage, patch: Patch, reach_px: float, ncc_min: float = NCC_MIN) -> list[Peak]:
+    """Up to five places of a patch within ``reach_px`` of its click, correlation at least ``ncc_min``, best first."""
+    half, reach = patch.image.shape[0] // 2, int(np.ceil(reach_px))
     u, v = round(float(patch.pixel[0])), round(float(patch.pixel[1]))
     height, width = frame.shape
     left, top = max(0, u - half - reach), max(0, v - half - reach)
@@ -115,22 +123,20 @@ def _peaks(frame: GreyImage, patch: Patch, reach: int) -> list[tuple[float, floa
         return []
     score = cv2.matchTemplate(window, patch.image, cv2.TM_CCOEFF_NORMED)
     score = np.where(np.isfinite(score), score, 0.0)
-    peaks = []
+    places: list[Peak] = []
     for _ in range(5):
         row, column = np.unravel_index(int(np.argmax(score)), score.shape)
         value = float(score[row, column])
-        if value < NCC_MIN:
+        if value < ncc_min:
             break
-        peaks.append((left + column + half - u, top + row + half - v, value))
+        places.append((float(left + column + half - u), float(top + row + half - v), value))
         score[max(0, row - 3) : row + 4, max(0, column - 3) : column + 4] = -1.0
-    return [(float(a), float(b), c) for a, b, c in peaks]
+    return places
 
 
-def _consensus(
-    patches: list[Patch | None], options: list[list[tuple[float, float, float]]]
-) -> dict[int, tuple[float, float]]:
+def consensus(patches: Sequence[Patch | None], options: Sequence[Sequence[Peak]]) -> dict[int, Peak]:
     """The peak of each landmark that fits the similarity which most landmarks share (weighted by correlation)."""
-    candidates = [(i, du, dv, c) for i, peaks in enumerate(options) for du, dv, c in peaks]
+    candidates = [(i, *peak) for i, own in enumerate(options) for peak in own]
     if not candidates:
         return {}
     index = np.array([c[0] for c in candidates])
@@ -159,8 +165,8 @@ def _consensus(
         nearest[int(i)] = own[np.argmin(error[:, own], axis=1)]
         total += worth[np.arange(len(origin)), nearest[int(i)]]
     best = int(np.argmax(total))
-    picked = {i: peaks[best] for i, peaks in nearest.items() if error[best, peaks[best]] <= AGREE_PX}
-    return {i: (float(shift[k].real), float(shift[k].imag)) for i, k in picked.items()}
+    picked = {i: int(own[best]) for i, own in nearest.items() if error[best, own[best]] <= AGREE_PX}
+    return {i: (candidates[k][1], candidates[k][2], candidates[k][3]) for i, k in picked.items()}
 
 
 def _equalised(image: GreyImage) -> GreyImage:
@@ -170,8 +176,9 @@ def _equalised(image: GreyImage) -> GreyImage:
     return np.asarray(np.clip((grey - grey.mean()) * gain + 128.0, 0, 255), dtype=np.uint8)
 
 
-def _refine(frame: GreyImage, patch: Patch, shift: FloatArray) -> tuple[FloatArray, float]:
-    """Sub-pixel position (2,) of a landmark near ``click + shift``, and its standard uncertainty, px."""
+def refine(frame: GreyImage, patch: Patch, peak: Peak) -> tuple[FloatArray, float]:
+    """Sub-pixel position (2,) of a landmark near a peak, and its standard uncertainty, px."""
+    shift = np.array(peak[:2])
     half = patch.image.shape[0] // 2
     u, v = round(float(patch.pixel[0])), round(float(patch.pixel[1]))
     fraction = patch.pixel - (u, v)
