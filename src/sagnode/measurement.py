@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from datetime import datetime
 
 from sagnode.geometry.camera import FloatArray
 from sagnode.message import Estimate
@@ -53,6 +54,10 @@ class FrameMeasurement:
     match_score: float | None = None
     pose_residual_px: float | None = None
     landmarks_used: int = 0
+    landmarks_by_appearance: int = 0
+    """Of these, found by a kept appearance and not by the reference picture."""
+    oldest_appearance_at: datetime | None = None
+    """When the oldest of those appearances was cut."""
     drawing: Drawing | None = None
 
 

@@ -128,6 +128,12 @@ class ReadingHeader(Strict):
     match_score: float | None = Field(default=None, description="robust z-score over shifted curves")
     pose_residual_px: float | None = Field(default=None, ge=0)
     landmarks_used: int = Field(default=0, ge=0)
+    landmarks_by_appearance: int = Field(
+        default=0, ge=0, description="of these, found by a kept appearance and not by the reference picture"
+    )
+    oldest_appearance_at: AwareDatetime | None = Field(
+        default=None, description="when the oldest of those appearances was cut; null where none was used"
+    )
     method: str = Field(description="matcher that made the reading")
     calibration_id: str
     configuration_id: str
@@ -200,6 +206,24 @@ class LensMessage(Strict):
     text: str
 
 
+class LandmarksMessage(Strict):
+    """How old the pictures are by which landmarks are recognised."""
+
+    reference_taken_at: AwareDatetime | None = Field(
+        default=None, description="of the reference picture; null: unknown"
+    )
+    reference_taken_from: Literal["name", "exif", "modified"] | None = Field(
+        default=None,
+        description="what says so: the file's name, its EXIF, or its modification time (it may have been taken before)",
+    )
+    appearances: int = Field(ge=0, description="further appearances of landmarks that may be used")
+    on_trial: int = Field(
+        ge=0, description="appearances that have not found their landmark again yet, and are not used"
+    )
+    oldest_at: AwareDatetime | None = Field(default=None, description="when the oldest usable appearance was cut")
+    newest_at: AwareDatetime | None = Field(default=None, description="when the newest usable appearance was cut")
+
+
 class HealthMessage(Strict):
     """Retained on ``health``: the node itself."""
 
@@ -226,4 +250,7 @@ class HealthMessage(Strict):
     configuration: str = "ok"
     recovery: str = Field(default="ok", description="what was started anew because no reading came, or ok")
     lens: LensMessage | None = Field(default=None, description="as the newest frame shows it; null without a reading")
+    landmarks: LandmarksMessage | None = Field(
+        default=None, description="by which pictures landmarks are recognised; null without a reference picture"
+    )
     trend: str = Field(default="ok", description="ok, or which conductors' readings contradict those before them")

@@ -22,7 +22,7 @@ faulthandler.enable()
 words = json.loads(sys.argv[2])
 
 
-def stand_in(config):
+def stand_in(config, _album=None):
     def build(requests_fd, replies_fd, resume_after):
         places = {
             "{requests}": str(requests_fd),

@@ -30,6 +30,8 @@ TRAILER = (
     "match_score",
     "pose_residual_px",
     "landmarks_used",
+    "landmarks_by_appearance",
+    "oldest_appearance_at",
     "method",
     "calibration_id",
     "configuration_id",

@@ -34,6 +34,8 @@ def reading_document(measurement: ConductorMeasurement, *, test: bool, budget: b
         "match_score": measurement.match_score,
         "pose_residual_px": measurement.pose_residual_px,
         "landmarks_used": measurement.landmarks_used,
+        "landmarks_by_appearance": measurement.landmarks_by_appearance,
+        "oldest_appearance_at": measurement.oldest_appearance_at,
         "method": measurement.method,
         "software_version": __version__,
     }

@@ -125,11 +125,14 @@ def _measured(
     """Readings burst by burst, numbered from 1, and why a burst could not be read."""
     from sagnode.config.load import LoadedNode
     from sagnode.pipeline import load_site, measure_burst
+    from sagnode.quality import Validity
+    from sagnode.worker.album import Album
 
     node = loaded.node if isinstance(loaded, LoadedNode) else None
     count = burst or (node.camera.burst if node else 1)
     site = load_site(loaded.span, node.measure if node else None)
     stamp, trend = _stamp(loaded, site), _trend(loaded)
+    album = Album(site) if node is None or node.measure.appearances else None
     source.open()
     number = 0
     first: datetime | None = None
@@ -139,7 +142,10 @@ def _measured(
             error = None
             try:
                 frames = source.burst(count, 0.0)
-                readings = _stamped(stamp, site, frames, measure_burst(site, [f.image for f in frames]), first)
+                measured = measure_burst(site, [f.image for f in frames], album.kept if album else ())
+                if album is not None and any(m.validity is not Validity.INVALID for m in measured):
+                    album.learn(frames[0].image, frames[0].utc)
+                readings = _stamped(stamp, site, frames, measured, first)
             except EndOfFrames:
                 return
             except FrameError as fault:

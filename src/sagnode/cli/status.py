@@ -11,6 +11,7 @@ import os
 import sys
 import time
 from collections.abc import Iterator
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -123,6 +124,7 @@ def _health(page: dict[str, Any]) -> Iterator[tuple[str, str]]:
     health = page["health"]
     yield "camera", health.get("camera", "")
     yield "lens", (health.get("lens") or {}).get("text", "")
+    yield "landmarks", _landmarks(page)
     yield "broker", health.get("broker", "")
     ends = health.get("certificate_ends_at")
     yield "certificate", f"ends {moment(ends)}" if ends else ""
@@ -141,6 +143,28 @@ def _health(page: dict[str, Any]) -> Iterator[tuple[str, str]]:
     yield "next", moment(page["next_slot"]) if page.get("next_slot") else ""
     if "readings_made" in health:
         yield "made", f"{health['readings_made']} readings, {health['readings_invalid']} invalid"
+
+
+def _landmarks(page: dict[str, Any]) -> str:
+    """By which pictures landmarks are recognised, and how old those are."""
+    landmarks = page["health"].get("landmarks")
+    if landmarks is None:
+        return ""
+    now = datetime.fromisoformat(page["now"])
+
+    def age(key: str) -> str:
+        return duration(max(0.0, (now - datetime.fromisoformat(landmarks[key])).total_seconds()))
+
+    taken = "of unknown age"
+    if landmarks["reference_taken_at"] is not None:
+        # a copied file is younger than its picture
+        least = "at least " if landmarks["reference_taken_from"] == "modified" else ""
+        taken = f"{least}{age('reference_taken_at')} old"
+    kept = f"{landmarks['appearances']} appearances kept"
+    if landmarks["appearances"]:
+        kept += f", {age('newest_at')} to {age('oldest_at')} old"
+    used = max((reading.get("landmarks_by_appearance") or 0 for reading in page["readings"].values()), default=0)
+    return f"reference picture {taken}; {kept}" + (f"; {used} found by them" if used else "")
 
 
 def _interval(reading: dict[str, Any], stem: str) -> str:

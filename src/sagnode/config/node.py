@@ -152,6 +152,8 @@ class Measure(Model):
     """rational-bezier is sagnode's; the others are the paper's, for comparison."""
     undistort: bool = True
     """False ignores the lens distortion, as the paper's Table 8 does."""
+    appearances: bool = True
+    """Keep further appearances of the landmarks, for those that the reference picture does not find."""
 
 
 class Trend(Model):

@@ -254,6 +254,7 @@ class Loop:
         if outcome.reply is not None:
             self._next_frame_at = outcome.reply.next_frame_at
             parts.showcase.lens = outcome.reply.lens
+            parts.showcase.landmarks = outcome.reply.landmarks
             return parts.stamp.reply(
                 outcome.reply, clock_synced=trust.synced, calibration_id=parts.worker.calibration_id
             )

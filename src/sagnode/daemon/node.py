@@ -101,7 +101,7 @@ def _run_once(
         if inbox is not None and link is not None:
             inbox.answer_by(link.say)
         past = recent_readings(journal, len(conductors))
-        worker = _worker(loaded, watchdog, orders)
+        worker = _worker(loaded, state_dir, watchdog, orders)
         recorder = _recorder(node, store, status_dir)
         ladder = _ladder(node, notifier, wording.boot_id, state_dir)
         showcase = Showcase(
@@ -154,7 +154,7 @@ def _run_once(
         return ending
 
 
-def _worker(loaded: LoadedNode, watchdog: notify.Watchdog, orders: Orders) -> Supervisor:
+def _worker(loaded: LoadedNode, state_dir: Path, watchdog: notify.Watchdog, orders: Orders) -> Supervisor:
     node = loaded.node
     limits = Limits(
         deadline_s=node.schedule.deadline_s,
@@ -163,7 +163,9 @@ def _worker(loaded: LoadedNode, watchdog: notify.Watchdog, orders: Orders) -> Su
         backoff_max_s=node.worker.backoff_max_s,
     )
     beat = partial(_beat, watchdog, orders)
-    return Supervisor(command_line(loaded.path), limits, beat=beat, configuration=loaded.snapshot())
+    return Supervisor(
+        command_line(loaded.path, _album(node, state_dir)), limits, beat=beat, configuration=loaded.snapshot()
+    )
 
 
 def _recorder(node: Node, store: Store, status_dir: Path) -> Recorder:
@@ -202,6 +204,11 @@ def _stamp(loaded: LoadedNode, wording: Wording, conductors: dict[str, str | Non
         boot_id=wording.boot_id,
         test=loaded.node.unit.commissioning,
     )
+
+
+def _album(node: Node, state_dir: Path) -> Path | None:
+    """Where appearances of landmarks are kept; a replay learns its own, so that it is the same every time."""
+    return None if node.camera.backend == "replay" else state_dir / "appearances"
 
 
 def _ladder(node: Node, notifier: notify.Notifier, boot_id: str, state_dir: Path) -> Ladder | None:

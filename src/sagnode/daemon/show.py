@@ -24,7 +24,7 @@ from sagnode.daemon.notify import Notifier
 from sagnode.daemon.recorder import Recorder
 from sagnode.errors import JournalError
 from sagnode.exchange import AlarmMessage
-from sagnode.message import HealthMessage, Identity, LensMessage, ReadingHeader
+from sagnode.message import HealthMessage, Identity, LandmarksMessage, LensMessage, ReadingHeader
 from sagnode.quality import Validity
 from sagnode.worker.supervisor import Supervisor
 
@@ -33,7 +33,17 @@ log = logging.getLogger(__name__)
 STATUS_FILE = "status.json"
 STATUS_SCHEMA = "sagnode.status-file/1"
 _HEALTH_EVERY_S = 300.0
-_SHOWN = ("sag_m", "sag_u", "sag_lo", "sag_hi", "clearance_m", "clearance_u", "clearance_lo", "clearance_hi")
+_SHOWN = (
+    "sag_m",
+    "sag_u",
+    "sag_lo",
+    "sag_hi",
+    "clearance_m",
+    "clearance_u",
+    "clearance_lo",
+    "clearance_hi",
+    "landmarks_by_appearance",
+)
 
 
 @dataclass(frozen=True)
@@ -87,6 +97,8 @@ class Showcase:
         """Alarms in force."""
         self.lens: LensMessage | None = None
         """As the newest frame shows it."""
+        self.landmarks: LandmarksMessage | None = None
+        """By which pictures they are recognised."""
         self.trend_note = "ok"
         """What health says of readings that contradict those before them."""
 
@@ -188,6 +200,7 @@ class Showcase:
             configuration=self.configuration_note,
             recovery=self._ladder.state if self._ladder else "ok",
             lens=self.lens,
+            landmarks=self.landmarks,
             trend=self.trend_note,
         )
 

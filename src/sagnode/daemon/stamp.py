@@ -17,6 +17,17 @@ from sagnode.worker.protocol import ConductorResult, MeasureReply
 
 UNNUMBERED = 1
 """Sequence of a reading that the journal has not numbered yet."""
+_SEEN = (
+    "frames_used",
+    "frames_rejected",
+    "visible_share",
+    "match_score",
+    "pose_residual_px",
+    "landmarks_used",
+    "landmarks_by_appearance",
+    "oldest_appearance_at",
+    "method",
+)
 
 
 @dataclass(frozen=True)
@@ -103,8 +114,7 @@ class _Moment:
 
 
 def _seen(result: ConductorResult) -> dict[str, object]:
-    names = ("frames_used", "frames_rejected", "visible_share", "match_score", "pose_residual_px", "landmarks_used")
-    return {name: getattr(result, name) for name in (*names, "method")}
+    return {name: getattr(result, name) for name in _SEEN}
 
 
 def _contradiction(result: ConductorResult) -> str | None:

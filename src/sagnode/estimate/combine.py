@@ -78,6 +78,8 @@ def _measurement(
         match_score=frame.match_score,
         pose_residual_px=frame.pose_residual_px,
         landmarks_used=frame.landmarks_used,
+        landmarks_by_appearance=frame.landmarks_by_appearance,
+        oldest_appearance_at=frame.oldest_appearance_at,
         drawing=frame.drawing,
         frames_used=used,
         frames_rejected=rejected,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from datetime import datetime
 
 import numpy as np
 
@@ -38,6 +39,11 @@ class Registered:
     tracked: Tracked | None
     residual_px: float | None
     movement_px: float | None
+
+    @property
+    def by_appearance(self) -> tuple[datetime, ...]:
+        """Of each landmark found by a kept appearance: when that was cut."""
+        return () if self.tracked is None else tuple(self.tracked.cut_at.values())
 
 
 def register(site: Site, image: GreyImage, kept: Appearances = ()) -> tuple[Registered, list[Reason]]:

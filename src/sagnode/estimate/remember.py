@@ -54,18 +54,17 @@ class _Lesson:
     teachers: NDArray[np.bool_]
 
     def place(self, i: int) -> FloatArray | None:
-        """Where landmark ``i`` is (2,), as the others foretell it and its own patch confirms; None where unsure."""
+        """Where landmark ``i`` is (2,), by its own patch and by what the others foretell; None where unsure."""
         others = self.teachers.copy()
         others[i] = False
         if int(others.sum()) < TEACHERS_MIN:
             return None
         told = movement(self.site, self.anchor, self.tracked.pixels, np.full(len(others), SEEN_U_PX), others)
         foretold, u = told.pixels[i], float(told.sigma[i])
-        if not self.tracked.found[i]:
-            return foretold if u <= PLACE_U_MAX_PX else None
         own = self.tracked.pixels[i]
-        if float(np.hypot(*(own - foretold))) > 3 * float(np.hypot(u, SEEN_U_PX)):
-            return None
+        if not self.tracked.found[i] or float(np.hypot(*(own - foretold))) > 3 * float(np.hypot(u, SEEN_U_PX)):
+            # where its own patch is pulled aside by a changed look, all the others know better
+            return foretold if u <= PLACE_U_MAX_PX else None
         weight = u**2 / (u**2 + SEEN_U_PX**2)
         return np.asarray(foretold + weight * (own - foretold))
 

@@ -44,6 +44,8 @@ def refused(site: Site, reasons: list[Reason], registered: Registered | None = N
             method=site.method,
             pose_residual_px=residual,
             landmarks_used=landmarks,
+            landmarks_by_appearance=0 if registered is None else len(registered.by_appearance),
+            oldest_appearance_at=None if registered is None else min(registered.by_appearance, default=None),
         )
         for conductor in site.conductors
         if conductor.measured
@@ -76,6 +78,8 @@ def tell(
         match_score=None if found is None else found.sighting.score,
         pose_residual_px=registered.residual_px,
         landmarks_used=0 if registered.landmarks is None else registered.landmarks.count,
+        landmarks_by_appearance=len(registered.by_appearance),
+        oldest_appearance_at=min(registered.by_appearance, default=None),
         drawing=None if found is None else draw(site, registered, found),
     )
 

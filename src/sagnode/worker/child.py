@@ -12,6 +12,7 @@ import os
 import sys
 import time
 import traceback
+from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 from typing import IO, TYPE_CHECKING
@@ -20,7 +21,7 @@ from pydantic import ValidationError
 
 from sagnode.errors import EndOfFrames, FrameError, SagnodeError
 from sagnode.message import LensMessage, ReasonMessage
-from sagnode.quality import Cause, Reason
+from sagnode.quality import Cause, Reason, Validity
 from sagnode.worker import confine
 from sagnode.worker.protocol import ConductorResult, Fault, Hello, MeasureReply, MeasureRequest, WorkerLine
 
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
     from sagnode.config.load import LoadedNode
     from sagnode.measurement import ConductorMeasurement
     from sagnode.site import Site
+    from sagnode.worker.album import Album
 
 EXIT_FATAL = 70
 """After a fatal fault (sysexits.h: internal software error)."""
@@ -42,13 +44,14 @@ def main(argv: list[str]) -> int:
     parser.add_argument("--replies-fd", type=int, required=True)
     parser.add_argument("--parent", type=int, required=True)
     parser.add_argument("--resume-after", type=datetime.fromisoformat, default=None)
+    parser.add_argument("--album", type=Path, default=None)
     args = parser.parse_args(argv)
     if not confine.die_with_parent(args.parent):
         return 0
     confine.volunteer_for_oom()
     with os.fdopen(args.requests_fd, "rb") as requests, os.fdopen(args.replies_fd, "wb") as replies:
         try:
-            return _Worker(args.config, args.resume_after, replies).serve(requests)
+            return _Worker(args.config, args.resume_after, args.album, replies).serve(requests)
         except BrokenPipeError:
             return 0  # the daemon has gone
         except KeyboardInterrupt:
@@ -62,12 +65,24 @@ def main(argv: list[str]) -> int:
             return EXIT_FATAL
 
 
+@dataclass(frozen=True)
+class _Task:
+    """What a worker measures with."""
+
+    loaded: LoadedNode
+    site: Site
+    source: FrameSource
+    album: Album | None
+    """None where no appearances are kept."""
+
+
 class _Worker:
     """One configuration, one camera, one site."""
 
-    def __init__(self, config: Path, resume_after: datetime | None, replies: IO[bytes]) -> None:
+    def __init__(self, config: Path, resume_after: datetime | None, album: Path | None, replies: IO[bytes]) -> None:
         self._config = config
         self._resume_after = resume_after
+        self._album = album
         self._replies = replies
 
     def serve(self, requests: IO[bytes]) -> int:
@@ -76,12 +91,16 @@ class _Worker:
         from sagnode.capture import open_source
         from sagnode.config.load import LoadedNode, load_node
         from sagnode.pipeline import load_site
+        from sagnode.worker.album import Album
 
         try:
             snapshot = sys.stdin.buffer.read()
             # The daemon's snapshot counts: the files may have been edited since, and readings carry the daemon's id.
             loaded = LoadedNode.from_snapshot(snapshot) if snapshot else load_node(self._config)
             site = load_site(loaded.span, loaded.node.measure)
+            album = None
+            if loaded.node.measure.appearances:
+                album = Album(site, loaded.span.camera.reference_image, self._album)
             source = open_source(loaded.node.camera)
         except SagnodeError as error:
             return self._fatal(Cause.BAD_CALIBRATION, str(error))
@@ -102,11 +121,12 @@ class _Worker:
                     first_frame_at=source.first_frame_at(),
                 )
             )
-            return self._answer(requests, loaded, site, source)
+            return self._answer(requests, _Task(loaded, site, source, album))
         finally:
             source.close()
 
-    def _answer(self, requests: IO[bytes], loaded: LoadedNode, site: Site, source: FrameSource) -> int:
+    def _answer(self, requests: IO[bytes], task: _Task) -> int:
+        source = task.source
         live = source.first_frame_at() is None
         camera_lost = False
         for line in requests:
@@ -118,7 +138,11 @@ class _Worker:
                 if camera_lost:
                     source.open()
                     camera_lost = False
-                self._say(_measure(request, loaded, site, source))
+                reply, first = _measure(request, task)
+                self._say(reply)
+                # after the answer: no reading waits for what the next ones may be better for
+                if task.album is not None and any(r.validity is not Validity.INVALID for r in reply.results):
+                    task.album.learn(first.image, first.utc)
             except EndOfFrames as error:
                 self._say(Fault(id=request.id, reason=ReasonMessage.of(error.reason), end_of_frames=True))
             except FrameError as error:
@@ -128,7 +152,7 @@ class _Worker:
                     camera_lost = True
                 self._say(Fault(id=request.id, reason=ReasonMessage.of(error.reason)))
             except MemoryError:
-                limit = loaded.node.worker.memory_max_mb
+                limit = task.loaded.node.worker.memory_max_mb
                 text = f"worker: more than {limit} MB beyond its start; raise worker.memory_max_mb if this repeats"
                 return self._fatal(Cause.WORKER_CRASHED, text, request.id)
         return 0
@@ -146,19 +170,19 @@ def _send(replies: IO[bytes], line: WorkerLine) -> None:
     replies.flush()
 
 
-def _measure(request: MeasureRequest, loaded: LoadedNode, site: Site, source: FrameSource) -> MeasureReply:
-    """One burst, measured."""
+def _measure(request: MeasureRequest, task: _Task) -> tuple[MeasureReply, Frame]:
+    """One burst, measured, and its first frame."""
     from sagnode.estimate.explain import lens_of
     from sagnode.pipeline import measure_burst
 
-    camera = loaded.node.camera
+    camera, site, source, album = task.loaded.node.camera, task.site, task.source, task.album
     frames = source.burst(camera.burst, camera.burst_interval_s)
     started = time.monotonic()
-    measurements = measure_burst(site, [frame.image for frame in frames])
+    measurements = measure_burst(site, [frame.image for frame in frames], album.kept if album else ())
     lens = lens_of(site, frames[0].image)
     elapsed = time.monotonic() - started
     overlays = _draw(Path(request.overlay_dir), frames[-1], measurements) if request.overlay_dir else {}
-    return MeasureReply(
+    reply = MeasureReply(
         id=request.id,
         acquired_at=frames[0].utc,
         monotonic_s=frames[0].monotonic_s,
@@ -166,10 +190,12 @@ def _measure(request: MeasureRequest, loaded: LoadedNode, site: Site, source: Fr
         results=tuple(conductor_result(measurement) for measurement in measurements),
         overlays=overlays,
         lens=LensMessage(look=lens.look, share=lens.share, text=lens.text),
+        landmarks=album.message() if album else None,
         elapsed_s=elapsed,
         memory_mb=confine.resident_mb(),
         next_frame_at=source.first_frame_at(),
     )
+    return reply, frames[0]
 
 
 def conductor_result(measurement: ConductorMeasurement) -> ConductorResult:

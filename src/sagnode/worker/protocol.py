@@ -10,7 +10,7 @@ from typing import Literal
 
 from pydantic import AwareDatetime, Field
 
-from sagnode.message import Estimate, LensMessage, ReasonMessage, Strict
+from sagnode.message import Estimate, LandmarksMessage, LensMessage, ReasonMessage, Strict
 from sagnode.quality import Validity
 
 
@@ -46,6 +46,8 @@ class ConductorResult(Strict):
     match_score: float | None = None
     pose_residual_px: float | None = None
     landmarks_used: int = 0
+    landmarks_by_appearance: int = 0
+    oldest_appearance_at: AwareDatetime | None = None
     method: str
     budget: dict[str, dict[str, float]] = Field(default={}, description="u by quantity stem and source, m")
 
@@ -61,6 +63,7 @@ class MeasureReply(Strict):
     results: tuple[ConductorResult, ...]
     overlays: dict[str, str] = Field(default={}, description="conductor to path of its overlay")
     lens: LensMessage | None = None
+    landmarks: LandmarksMessage | None = None
     elapsed_s: float
     memory_mb: float
     next_frame_at: AwareDatetime | None = None

@@ -53,12 +53,13 @@ class Limits:
     backoff_max_s: float = 300.0
 
 
-def command_line(config: Path) -> CommandLine:
-    """The real worker's command line."""
+def command_line(config: Path, album: Path | None = None) -> CommandLine:
+    """The real worker's command line; ``album`` is where it keeps appearances of landmarks, if in a file at all."""
 
     def build(requests_fd: int, replies_fd: int, resume_after: datetime | None) -> Sequence[str]:
         words = [sys.executable, "-m", "sagnode.worker", "--config", str(config)]
         words += ["--requests-fd", str(requests_fd), "--replies-fd", str(replies_fd), "--parent", str(os.getpid())]
+        words += ["--album", str(album)] if album else []
         return words if resume_after is None else [*words, "--resume-after", resume_after.isoformat()]
 
     return build
