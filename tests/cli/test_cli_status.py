@@ -142,6 +142,25 @@ def test_a_questionable_reading_is_shown_with_its_reason_and_is_no_trouble(node,
     assert "uncertain: u is 0.3 m" in capsys.readouterr().out
 
 
+def test_the_age_of_what_landmarks_are_recognised_by(node, capsys):
+    landmarks = {
+        "reference_taken_at": "2025-05-01T12:02:00+00:00",
+        "reference_taken_from": "name",
+        "appearances": 4,
+        "on_trial": 1,
+        "oldest_at": "2026-03-01T12:02:00+00:00",
+        "newest_at": "2026-06-01T07:02:00+00:00",
+    }
+    state = node(health={"landmarks": landmarks}, readings={"L1": reading(landmarks_by_appearance=2)})
+    assert main(["status", "--state-dir", str(state)]) == 0
+    assert (
+        "reference picture 396 d old; 4 appearances kept, 5 h to 92 d old; 2 found by them" in capsys.readouterr().out
+    )
+    copied = {**landmarks, "reference_taken_from": "modified", "appearances": 0, "oldest_at": None, "newest_at": None}
+    assert main(["status", "--state-dir", str(node(health={"landmarks": copied}))]) == 0
+    assert "reference picture at least 396 d old; 0 appearances kept" in capsys.readouterr().out
+
+
 def test_a_daemon_that_is_gone(node, capsys):
     state = node()
     node.release()

@@ -10,8 +10,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from nodes import SITE, write_node
 
 from sagnode.calibrate.files import save_intrinsics
+from sagnode.config.load import load_span
 from sagnode.geometry.camera import project
 from sagnode.match.appearances import Appearance, Appearances, none_kept
 from sagnode.pipeline import load_site
@@ -20,7 +22,9 @@ from sagnode.scene.render import render
 from sagnode.site import Site
 from sagnode.worker import album as module
 from sagnode.worker.album import Album, read_album, write_album
+from sagnode.worker.supervisor import Limits, Supervisor, command_line
 
+FRAMES = sorted((SITE / "frames").glob("*T1[2-3]*.jpg"))
 AT = datetime(2026, 6, 21, 12, 0, tzinfo=UTC)
 
 
@@ -171,3 +175,32 @@ def test_the_age_of_the_reference_is_told_with_its_source(site: Site, tmp_path: 
     assert of_name.reference_taken_from == "name"
     assert of_file.reference_taken_from == "modified"
     assert of_nothing.reference_taken_at is None
+
+
+@pytest.mark.skipif(not FRAMES, reason="the demonstration's frames are not there")
+def test_a_real_worker_leaves_its_album_to_the_next(tmp_path: Path) -> None:
+    clicked = load_span(SITE / "span.toml").span.landmarks[3].pixel
+    u, v = (round(x) for x in clicked)
+    coat = cv2.GaussianBlur(np.random.default_rng(5).integers(0, 256, (61, 61)).astype(np.uint8), (0, 0), 1.0)
+    (tmp_path / "frames").mkdir()
+    for frame in FRAMES[:2]:
+        image = cv2.imread(str(frame), cv2.IMREAD_GRAYSCALE)
+        assert image is not None
+        image[v - 30 : v + 31, u - 30 : u + 31] = coat
+        cv2.imwrite(str(tmp_path / "frames" / frame.with_suffix(".png").name), image)
+    node = write_node(tmp_path, 'backend = "replay"\nreplay = { path = "frames" }', "interval_s = 1800", "")
+    path = tmp_path / "appearances"
+    worker = Supervisor(command_line(node, path), Limits(deadline_s=60.0))
+    try:
+        first = worker.measure(None).reply
+        assert first is not None
+        assert first.landmarks is not None
+        assert (first.landmarks.appearances, first.landmarks.on_trial) == (0, 0)
+        second = worker.measure(None).reply
+        assert second is not None
+        assert second.landmarks is not None
+        assert second.landmarks.on_trial == 1
+        assert path.stat().st_size > 33**2
+    finally:
+        worker.stop()
+    assert len(read_album(path, load_site(load_span(SITE / "span.toml").span))[3]) == 1
