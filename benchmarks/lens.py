@@ -90,10 +90,11 @@ def main() -> None:
                     named = any(reason.cause in NAMED for reason in measured.reasons)
                     readings[condition]["told" if told else "refused, named" if named else "refused"] += 1
     looks = [look for look in LensLook if any(said[c][look] for c in said)]
+    command = f"python benchmarks/lens.py --worlds {options.worlds} --seed {options.seed}"
     lines = [
         "# What the lens looks like",
         "",
-        f"Written by `python benchmarks/lens.py --worlds {options.worlds} --seed {options.seed} --out ...`: no edits.",
+        f"Written by `{command} --out docs/lens.md`; do not edit.",
         *(line.strip() for line in (__doc__ or "").split("\n\n", 2)[2].splitlines()),
         "",
         f"| rendered | right | {' | '.join(looks)} | readings told | refused, lens named | refused, not named |",

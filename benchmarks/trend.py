@@ -158,10 +158,11 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--out", type=Path, help="write the tables there as well")
     options = parser.parse_args()
+    command = f"python benchmarks/trend.py --days {options.days} --seed {options.seed}"
     lines = [
         "# Readings that contradict those before them",
         "",
-        f"Written by `python benchmarks/trend.py --days {options.days} --seed {options.seed} --out ...`; do not edit.",
+        f"Written by `{command} --out docs/trend.md`; do not edit.",
         *(line.strip() for line in (__doc__ or "").split("\n\n", 2)[2].splitlines()),
         "Mistakes of a few centimetres, such as the sag of a phase that hangs nearly alike, are below what any past",
         "can tell; and where readings are rare, one conductor alone may have done nearly anything in between.",

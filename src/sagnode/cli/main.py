@@ -129,6 +129,12 @@ def _dispatch(words: list[str]) -> int:
         print(f"sagnode: error: {_unknown(name)}", file=sys.stderr)
         return EXIT_USAGE
     command = cast(Command, importlib.import_module(f"sagnode.cli.{name}"))
+    arrange = getattr(command, "arrange", list)
+    return command.run(parser_of(name, command).parse_args(arrange(rest)))
+
+
+def parser_of(name: str, command: Command) -> argparse.ArgumentParser:
+    """What understands a command's own words."""
     parser = argparse.ArgumentParser(
         prog=f"sagnode {name}",
         description=command.DESCRIPTION,
@@ -137,8 +143,7 @@ def _dispatch(words: list[str]) -> int:
         allow_abbrev=False,
     )
     command.add_arguments(parser)
-    arrange = getattr(command, "arrange", list)
-    return command.run(parser.parse_args(arrange(rest)))
+    return parser
 
 
 def help_text() -> str:
