@@ -23,9 +23,9 @@ if TYPE_CHECKING:
     from sagnode.trend.watch import Trend
 
 DESCRIPTION = """Measure the frames of a directory, glob or video in their order, as the node would have: the same
-bursts, judgement and watch over the readings' trend, and appearances of landmarks learnt on the way. Times come from the files' names, their EXIF or the files
-themselves. Where a truth lies beside the frames (sagnode scene), the readings are compared with it; with --against,
-with those of a journal or of an earlier replay or export."""
+bursts, judgement, watch over the readings' trend, and appearances of landmarks learnt on the way. Times come from the
+files' names, their EXIF or the files themselves. Where a truth lies beside the frames (sagnode scene), the readings are
+compared with it; with --against, with those of a journal or of an earlier replay or export."""
 EPILOG = """exit codes: 0 fine, 1 a frame could not be read, or a reading differs from --against (in validity, or by
 more than its own standard uncertainty), 2 usage or bad configuration"""
 NOBODY = "replay"
