@@ -52,9 +52,9 @@ Where it was run: Python {python}, {machine}, {cores} processors, {when}.
 """
 
 
-def conclude(names, results, args, elapsed_s):
+def conclude(names, results, args):
     """Print everything that was ever run; returns the exit code."""
-    lines, broken, seeds, parts, absent = [], [], set(), [], {}
+    lines, broken, seeds, parts, absent, seconds = [], [], set(), [], {}, 0.0
     for name in names:
         found = load(results / f"{name}.json")
         if "absent" in found:
@@ -62,6 +62,7 @@ def conclude(names, results, args, elapsed_s):
             continue
         lines += found["lines"]
         seeds.add(found["seed"])
+        seconds += found["seconds"]
         broken += [sentence for line in found["lines"] for sentence in line.verdict()]
         part = f", {found['share']:.0%} of its faults" if found["share"] != 1.0 else ""
         parts.append(f"{name} {found['seconds']:.0f} s{part}")
@@ -73,7 +74,7 @@ def conclude(names, results, args, elapsed_s):
     if args.report:
         text = INTRODUCTION.format(seed=", ".join(map(str, sorted(seeds))))
         text += f"\n{summary(lines)}\n\n{markdown(lines)}\n\n"
-        text += f"Time: {elapsed_s / 60:.0f} minutes, {args.jobs} sections at once ({'; '.join(parts)}).\n"
+        text += f"Time: {seconds / 60:.0f} minutes of sections, {args.jobs} at once ({'; '.join(parts)}).\n"
         text += "".join(f"\nNot in the table: {name}, {why}.\n" for name, why in absent.items())
         text += "".join(f"\n**Not kept:** {sentence}.\n" for sentence in broken)
         text += NOTES.format(

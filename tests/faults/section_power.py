@@ -23,7 +23,9 @@ from volatile_disk import run as command
 from sagnode.daemon.journal import Journal
 
 CUTS = 240
-NODES = 3
+DISKS = 12
+"""A new disk and a new node for each twelfth of the cuts: so many meet a start, and none a disk that has filled up."""
+AT_ONCE = 3
 MEGABYTES = 12
 
 
@@ -31,8 +33,8 @@ def run(campaign):
     missing = available()
     if missing:
         raise Skip(missing)
-    works = [partial(cut_again_and_again, wanted=wanted) for wanted in campaign.divided(CUTS, NODES)]
-    lines = campaign.side_by_side(*works, at_once=NODES)
+    works = [partial(cut_again_and_again, wanted=wanted) for wanted in campaign.divided(CUTS, DISKS)]
+    lines = campaign.side_by_side(*works, at_once=AT_ONCE)
     (line,) = lines
     line.remark = (
         f"quick_check clean after {line.counts['clean']} of {line.times}; {line.counts['restarts']} restarts on what"
@@ -47,7 +49,7 @@ def cut_again_and_again(campaign, wanted):
     broken, recovery = [], []
     directory = campaign.fresh("power")
     with VolatileDisk(directory / "disk", MEGABYTES, campaign.random) as disk:
-        with Rig(directory, state_dir=disk.place / "state") as rig:
+        with Rig(directory, state_dir=disk.place / "state", virtual=False) as rig:
             rig.start()
             while looked < wanted:
                 time.sleep(campaign.random.uniform(0, 0.2))
