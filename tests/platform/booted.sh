@@ -159,6 +159,7 @@ ok "a step back to $(version)"
 
 # The same by the timer, out of a directory with a signed list.
 repository=/srv/repository
+rm -rf "$repository"
 mkdir -p "$repository" /run/systemd/system/sagnode-update.{service,timer}.d
 for key in update other; do
 	openssl genpkey -algorithm EC -pkeyopt ec_paramgen_curve:P-256 -out "/root/$key.key" 2>/dev/null
