@@ -20,8 +20,8 @@ SIDE_OFFSET_PX = 2.5
 RESPONSE_CLIP = 24.0
 """Grey levels above which one sample counts no more: strong edges of towers and clouds must not outvote a thin wire."""
 
-PIECE = 256
-"""Samples along a ribbon whose surroundings are made single precision at once: small enough for the cache."""
+PIECE_PX = 256.0
+"""Length of ribbon whose surroundings are made single precision at once: small enough for the cache."""
 NO_BAND = np.zeros((1, 1), dtype=np.float32)
 Singles = NDArray[np.float32]
 
@@ -50,8 +50,11 @@ def straighten(image: GreyImage | Singles, pixels: FloatArray, normal: FloatArra
     across = offsets.astype(np.float32)
     ribbon = np.empty((len(pixels), len(offsets)), dtype=np.float32)
     whole = image.dtype == np.float32
-    piece = len(pixels) if whole else PIECE
-    for start in range(0, len(pixels), max(piece, 1)):
+    piece = max(1, len(pixels))
+    if not whole and len(pixels) > 1:
+        spacing = float(np.hypot(*(pixels[-1] - pixels[0]))) / (len(pixels) - 1)
+        piece = max(8, int(PIECE_PX / max(spacing, 0.1)))
+    for start in range(0, len(pixels), piece):
         rows = slice(start, start + piece)
         point, turned = pixels[rows], normal[rows]
         origin = np.zeros(2)

@@ -8,23 +8,24 @@ best curves are then moved a little to where they lie best, so that those which 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sagnode.capture.port import GreyImage
-from sagnode.geometry.camera import FloatArray, distort, project, projection_derivatives
+from sagnode.geometry.camera import FloatArray, projection_derivatives
 from sagnode.geometry.conductor import conductor_points, gravity_direction, loaded_profile
 from sagnode.match.bundle import lines
+from sagnode.match.family import Family, Grid
 from sagnode.match.ribbon import normals, pooled_response
+from sagnode.match.shrink import Box, box_around, halved
 from sagnode.match.templates import View, even_parameters
 
 SEARCH_SAMPLES = 64
 GROUPS = 5
 """Stretches of the curve that have a grid of their own."""
-MAX_TEMPLATES = 4_000
+MAX_TEMPLATES = 2_000
 """Beyond this a grid's steps grow, and each sample is looked for in a band instead."""
 STEP_PX = 1.6
 """Largest movement of any sample of a curve from one template to the next; a response is ±1 px wide."""
@@ -37,6 +38,10 @@ POOL_PX = 2.0
 BAND_LIMITS_PX = (0.35, 0.8)
 BANDS = ((0.0,), (-1.5, 0.0, 1.5), (-2.0, -1.0, 0.0, 1.0, 2.0))
 """Where across the curve to look, in its uncertainty of place, up to each limit of that and beyond."""
+WIDE_PX = 2.0
+"""Width of a wire that is still seen in a picture of half the size."""
+REACH_PX = 48.0
+"""Around the outermost curves' samples, what is kept of the picture for the search."""
 SPREAD_PX = 4.0
 """Uncertainty of a sample's place at which it counts half."""
 SWING_PRIOR = 0.3
@@ -50,12 +55,6 @@ POLISH = (1.0, 0.4)
 """How far about a peak to look at a time, in steps of the grid."""
 DISTINCT_PX = 1.5
 """Typical distance, in px and bands, below which two curves are one."""
-NEAREST_M = 1e-3
-OUTSIDE_PX = -1e4
-"""Where points that the camera cannot see are put."""
-
-Grid = NDArray[Any]
-"""Of single precision: a picture needs no more."""
 
 
 @dataclass(frozen=True)
@@ -93,6 +92,11 @@ def search(
     if t.size < 2:
         return []
     spread, by_sag, by_swing = _movements(view, middle, t, attachment_u)
+    family = Family.of(view, sag_range, t)
+    if _blurred(view, family, middle, spread):
+        box = _reach(view, family, sag_range, swing_max, image.shape)
+        if box is not None:
+            return search(*halved(image, view, box), sag_range, swing_max, swing_u, attachment_u, keep)
     step = STEP_PX * (1 + BAND_GAIN * np.minimum(spread, POOL_PX))
     sag_steps = by_sag * (sag_range[1] - sag_range[0]) / step
     # what swing does beyond what sag does decides whether swing is worth searching
@@ -102,7 +106,6 @@ def search(
         sag_steps /= SAG_ALONE
     if not sag_steps.any():
         return []
-    family = _Family.of(view, sag_range, t)
     # the common grid must stay small too: steps that grow make a band of every place
     most = np.array([sag_steps.max(), swing_steps.max()])
     excess = max(1.0, float(np.prod(most + 1)) / MAX_TEMPLATES)
@@ -144,10 +147,27 @@ def search(
     return candidates
 
 
+def _blurred(view: View, family: Family, sag: float, spread: FloatArray) -> bool:
+    """Whether the places of most samples are so uncertain, and the wires so wide, that half the pixels show as much."""
+    if float(np.median(spread)) <= 2 * POOL_PX:
+        return False
+    _, _, depth = family.pixels(view.intrinsics, np.arange(len(spread)), np.array([sag]), np.zeros(1))
+    return bool(np.median(view.diameter * view.intrinsics.fx / depth) > WIDE_PX)
+
+
+def _reach(
+    view: View, family: Family, sag_range: tuple[float, float], swing_max: float, shape: tuple[int, ...]
+) -> Box | None:
+    """What of a frame the family's curves may touch."""
+    sags, swings = np.linspace(*sag_range, 3)[:, None], np.linspace(-swing_max, swing_max, 5)
+    u, v, _ = family.pixels(view.intrinsics, np.arange(len(family.chord)), sags, swings)
+    return box_around(u, v, REACH_PX, shape)
+
+
 def _polished(
     image: GreyImage,
     view: View,
-    family: _Family,
+    family: Family,
     spread: FloatArray,
     start: tuple[FloatArray, FloatArray],
     reach: FloatArray,
@@ -173,12 +193,10 @@ def _polished(
     return polished[0], polished[1], polished[2], polished[3]
 
 
-def _distinct(
-    view: View, family: _Family, spread: FloatArray, sags: FloatArray, swings: FloatArray
-) -> NDArray[np.intp]:
+def _distinct(view: View, family: Family, spread: FloatArray, sags: FloatArray, swings: FloatArray) -> NDArray[np.intp]:
     """Which of some curves (K,), the best first, are not one that came before them."""
     every = np.arange(len(spread))
-    u, v, _ = _project(view, *family.points(every, sags, swings))
+    u, v, _ = family.pixels(view.intrinsics, every, sags, swings)
     pixels = np.stack([u, v], axis=-1).astype(np.float64)
     normal = normals(pixels.transpose(1, 0, 2)).transpose(1, 0, 2)
     kept: list[int] = []
@@ -226,58 +244,10 @@ def _interpolation(own: FloatArray, common: FloatArray) -> FloatArray:
     return matrix
 
 
-@dataclass(frozen=True)
-class _Family:
-    """All curves of a conductor in the camera's frame: ``chord + profile(sag) · direction(swing)``, single precision.
-
-    A catenary's profile over its sag is even in the sag, so two sags tell the others to a millimetre.
-    """
-
-    chord: Grid
-    """Samples of the chord (N, 3), m."""
-    slope: Grid
-    """Profile per metre of sag for no sag (N,)."""
-    bend: Grid
-    """What the square of the sag adds to that (N,)."""
-    turn: Grid
-    """Direction of gravity as constant, by cosine and by sine of the swing (3, 3)."""
-    members: Grid
-    """Where a bundle's sub-conductors are in the picture, relative to the curve (m, N, 2), px; zero for a wire."""
-
-    @classmethod
-    def of(cls, view: View, sag_range: tuple[float, float], t: FloatArray) -> _Family:
-        """The family of the samples ``t`` (N,)."""
-        rise = view.far - view.near
-        ends = np.array(sag_range)
-        low, high = loaded_profile(np.full(2, np.hypot(rise[0], rise[1])), rise[2], ends, t, view.load) / ends[:, None]
-        bend = (high - low) / (ends[1] ** 2 - ends[0] ** 2)
-        ahead, aside, back = gravity_direction(view.near, view.far, np.array([0.0, 0.5, 1.0]) * np.pi)
-        middle = 0.5 * (ahead + back)
-        turn = np.stack([middle, 0.5 * (ahead - back), aside - middle]) @ view.pose.rotation.T
-        chord = (view.near + t[:, None] * rise - view.pose.position) @ view.pose.rotation.T
-        # the same for all curves of the family, to what little their depths differ
-        points = conductor_points(view.near, view.far, float(ends.mean()), 0.0, t, view.load)
-        moved, _ = project(view.intrinsics, view.pose, points + view.members[:, None, :])
-        members = np.nan_to_num(moved - project(view.intrinsics, view.pose, points)[0])
-        parts = (chord, low - bend * ends[0] ** 2, bend, turn, members)
-        return cls(*(part.astype(np.float32) for part in parts))
-
-    def points(self, part: NDArray[np.intp], sags: FloatArray, swings: FloatArray) -> list[Grid]:
-        """Coordinates x, y, z (n, ...) of some samples (n,) in the camera's frame, m; sags and swings broadcast."""
-        sag, turned = sags.astype(np.float32), (np.cos(swings), np.sin(swings))
-        cosine, sine = (value.astype(np.float32) for value in turned)
-        slope, bend, *chord = (
-            column[part].reshape(-1, *(1,) * sags.ndim) for column in (self.slope, self.bend, *self.chord.T)
-        )
-        profile = sag * (slope + bend * sag**2)
-        constant, by_cosine, by_sine = self.turn
-        return [chord[i] + profile * (constant[i] + by_cosine[i] * cosine + by_sine[i] * sine) for i in range(3)]
-
-
 def _sums(
     image: GreyImage,
     view: View,
-    family: _Family,
+    family: Family,
     sags: FloatArray,
     swings: FloatArray,
     part: NDArray[np.intp],
@@ -297,7 +267,7 @@ def _sums(
     # a neighbour on either side gives the stretch's ends their tangents
     padded = np.arange(max(0, part[0] - 1), min(len(family.chord), part[-1] + 2))
     inner = slice(int(part[0] - padded[0]), int(part[0] - padded[0]) + len(part))
-    u, v, depth = _project(view, *family.points(padded, sags, swings))
+    u, v, depth = family.pixels(view.intrinsics, padded, sags, swings)
     du, dv = _along(u)[inner], _along(v)[inner]
     shorten = 1 / np.sqrt(np.maximum(du * du + dv * dv, np.float32(1e-9)))
     nu, nv = -dv * shorten, du * shorten
@@ -320,26 +290,6 @@ def _sums(
     total = trust @ response.astype(np.float32)
     count = trust @ seen.astype(np.float32)
     return total.reshape(shape).astype(np.float64), count.reshape(shape).astype(np.float64)
-
-
-def _project(view: View, x: Grid, y: Grid, z: Grid) -> tuple[Grid, Grid, Grid]:
-    """Pixels u, v and depth of points of the camera frame, single precision; far outside where it is not ahead."""
-    lens = view.intrinsics
-    ahead = z > NEAREST_M
-    every = bool(ahead.all())
-    depth = z if every else np.where(ahead, z, np.float32(1.0))
-    x, y = x / depth, y / depth
-    if any(lens.distortion):
-        within = x * x + y * y <= lens.reach**2
-        ahead &= within
-        every = every and bool(within.all())
-        # a double precision coefficient would make everything after it double
-        x, y = distort(replace(lens, distortion=tuple(map(float, lens.distortion))), x, y)
-    u = float(lens.fx) * x + float(lens.cx)
-    v = float(lens.fy) * y + float(lens.cy)
-    if not every:
-        u, v = np.where(ahead, u, np.float32(OUTSIDE_PX)), np.where(ahead, v, np.float32(OUTSIDE_PX))
-    return u, v, depth
 
 
 def _along(values: Grid) -> Grid:
