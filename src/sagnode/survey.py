@@ -46,6 +46,8 @@ class Survey:
     """rad"""
     load_u: float = 0.0
     """Of each term of an uneven load, relative to the mean load; 0 takes the load for even."""
+    swing_mean: float = 0.0
+    """Swing that is expected, rad: none, unless the other conductors of the span say so."""
 
     def prior_sigma(self) -> FloatArray:
         """Standard uncertainties of θ (28,); sag has a prior so wide that it says nothing within its range."""
@@ -63,9 +65,10 @@ class Survey:
         return np.maximum(sigma, 1e-9)
 
     def prior_mean(self) -> FloatArray:
-        """θ₀ (28,): the survey itself, sag in the middle of its range, no swing, an even load."""
+        """θ₀ (28,): the survey itself, sag in the middle of its range, the expected swing, an even load."""
         mean = np.zeros(SIZE)
         mean[SAG] = 0.5 * (self.sag_range[0] + self.sag_range[1])
+        mean[SWING] = self.swing_mean
         return mean
 
     def unknowns(self) -> NDArray[np.intp]:

@@ -1,4 +1,4 @@
-"""Ice and weights on a part of the span, in the laboratory's frontal view where the whole wire is seen."""
+"""Ice and weights on a part of the span: frontal, where the whole wire is seen, and along the line."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -7,12 +7,14 @@ import cv2
 import pytest
 
 from sagnode.calibrate.files import save_intrinsics
+from sagnode.config.load import load_span
 from sagnode.measurement import ConductorMeasurement
 from sagnode.pipeline import load_site, measure_burst
 from sagnode.quality import Cause, Validity
-from sagnode.scene.catenary import Load, PartialLoad, PointLoad
+from sagnode.scene.catenary import Load, PartialLoad, PointLoad, WireState
 from sagnode.scene.presets import preset_scene, typical_states
 from sagnode.scene.render import render
+from sagnode.scene.site import demo_site, site_directory
 from sagnode.scene.spec import Moment
 
 
@@ -61,3 +63,35 @@ def test_an_even_wire_is_not_suspected(tmp_path: Path) -> None:
     assert reading.validity is Validity.GOOD
     assert "load_skew" not in reading.estimates
     assert abs(reading.estimates["sag"].value - sag) < 3 * reading.estimates["sag"].u
+
+
+def along_the_line(weight: float) -> tuple[list[ConductorMeasurement], dict[str, float]]:
+    """Readings of the demonstration's span, seen along the line, each conductor with a weight; and the true sags."""
+    scene = demo_site().scene
+    loads: tuple[Load, ...] = (PointLoad(0.6, weight),) if weight else ()
+    wires = {
+        c.id: WireState(0.5 * (c.sag_min_m + c.sag_max_m), 3.0, loads if c.measured else ())
+        for c in scene.surveyed.conductors
+    }
+    rendered = render(scene, Moment(wires, seed=8))
+    true = {name: float(c["sag_m"]) for name, c in rendered.truth["conductors"].items()}
+    site = load_site(load_span(site_directory() / "span.toml").span)
+    return measure_burst(site, [rendered.image]), true
+
+
+@pytest.mark.parametrize("weight", [0.04, 0.12])
+def test_weights_on_a_span_seen_along_the_line_are_never_taken_for_a_wrong_swing(weight: float) -> None:
+    readings, true = along_the_line(weight)
+    for reading in readings:
+        if reading.validity is Validity.INVALID:
+            continue
+        assert abs(reading.estimates["sag"].value - true[reading.conductor]) < 3 * reading.estimates["sag"].u
+        assert Cause.ICE_SUSPECT in [r.cause for r in reading.reasons]
+
+
+def test_even_wires_on_a_span_seen_along_the_line_are_not_suspected() -> None:
+    readings, true = along_the_line(0.0)
+    for reading in readings:
+        assert reading.validity is not Validity.INVALID, reading.reasons
+        assert Cause.ICE_SUSPECT not in [r.cause for r in reading.reasons]
+        assert abs(reading.estimates["sag"].value - true[reading.conductor]) < 3 * reading.estimates["sag"].u

@@ -11,6 +11,7 @@ frame, and hands on what the landmarks say as a quadratic form that :func:`solve
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -33,6 +34,8 @@ ANEW = 0.5
 """A step of more than this many standard uncertainties makes the derivatives be taken anew."""
 SHAPE = slice(10, 18)
 """Attachments, sag and swing among the unknowns."""
+STRIDE = (0.1, np.radians(2.0))
+"""Longest steps: of sag, as a share of its surveyed range, and of swing."""
 SOURCES = {
     "orientation prior": slice(0, 3),
     "camera position": slice(3, 6),
@@ -264,7 +267,12 @@ def solve(
     known[CAMERA, CAMERA] += camera.precision
     target = mean0 / sigma0**2
     target[CAMERA] += camera.vector
-    known_free, target_free, longest = known[np.ix_(free, free)], target[free], 3 * sigma0[free]
+    known_free, target_free = known[np.ix_(free, free)], target[free]
+    # a step farther than the prior allows is a sign of a wrong wire or a wrong survey: walk, don't jump. What hangs in
+    # a plane through the camera shows hardly any sag, and its picture stays linear over short steps only
+    longest = 3 * sigma0[free]
+    longest[SAG] = STRIDE[0] * (survey.sag_range[1] - survey.sag_range[0])
+    longest[SWING] = min(longest[SWING], STRIDE[1])
     white, correlated = curve.sigma**2, correlated_error(curve.arc, curve.sigma)
     shared = np.diag(correlated)
     expected = white + shared
@@ -279,7 +287,6 @@ def solve(
         gain = np.linalg.solve(np.diag(noise) + correlated, np.column_stack([own, residual])).T @ own / inflation
         normal = known_free + gain[:-1]
         step = _scaled_solve(normal, target_free - known_free @ theta[free] + gain[-1])
-        # a step farther than the prior allows is a sign of a wrong wire or a wrong survey: walk, don't jump
         theta[free] += step / max(1.0, float(np.max(np.abs(step) / longest)))
         theta[SAG] = min(max(theta[SAG], 0.2 * survey.sag_range[0]), 2 * survey.sag_range[1])
         theta[SWING] = min(max(theta[SWING], -1.4), 1.4)
@@ -308,25 +315,52 @@ def solve(
     )
 
 
-def unevenness(solution: Solution, survey: Survey, load_u: float) -> float:
-    """How much an even solution's residuals ask for an uneven load: what its terms would take off the misfit.
+@dataclass(frozen=True)
+class Unevenness:
+    """What an even solution's residuals say about an uneven load.
 
-    One Gauss-Newton step in the terms, all other unknowns following, without solving anew.
+    Attributes:
+        misfit: what the terms of the load would take off the misfit; evenly loaded wires rarely exceed 3.
+        log_odds: logarithm of the odds of an uneven load over the even one.
+        swing: what the swing would be then, and its standard uncertainty, rad.
+    """
+
+    misfit: float
+    log_odds: float
+    swing: tuple[float, float]
+
+
+def unevenness(solution: Solution, survey: Survey, load_us: Sequence[float]) -> Unevenness:
+    """One Gauss-Newton step in the terms of an uneven load, all other unknowns following, without solving anew.
+
+    Args:
+        solution: under an even load.
+        survey: of it.
+        load_us: standard uncertainties of the terms that are tried; the one with the best odds comes back. A prior much
+            wider than the load would count against it.
     """
     free = survey.unknowns()
     white, correlated = solution.noise
     own, others = solution.jacobian[:, LOAD], solution.jacobian[:, free]
-    solved = np.linalg.solve(np.diag(white) + correlated, np.column_stack([own, others, solution.residual]))
-    of_own, of_others = solved[:, : own.shape[1]], solved[:, own.shape[1] : -1]
+    solved = np.linalg.solve(np.diag(white) + correlated, np.column_stack([own, solution.residual, others]))
+    of_own, of_residual, of_others = np.split(solved, [own.shape[1], own.shape[1] + 1], axis=1)
     known = np.diag(1 / survey.prior_sigma()[free] ** 2)
     known[CAMERA, CAMERA] += solution.camera.precision
-    # what the other unknowns can follow is no evidence
-    follow = np.linalg.solve(
-        others.T @ of_others + known, np.column_stack([others.T @ of_own, of_others.T @ solution.residual])
-    )
-    information = own.T @ of_own - own.T @ of_others @ follow[:, :-1] + np.eye(own.shape[1]) / load_u**2
-    pull = of_own.T @ solution.residual - own.T @ of_others @ follow[:, -1]
-    return float(pull @ np.linalg.solve(information, pull))
+    left = np.linalg.inv(others.T @ of_others + known)
+    # what the other unknowns can follow is no evidence; at the solution nothing pulls at them
+    follow = left @ (others.T @ of_own)
+    seen = own.T @ of_own - (others.T @ of_own).T @ follow
+    pull, turn = own.T @ of_residual[:, 0], follow[SWING]
+    explanations = []
+    for u in load_us:
+        information = seen + np.eye(len(seen)) / u**2
+        terms = np.linalg.solve(information, pull)
+        misfit = float(pull @ terms)
+        _, gained = np.linalg.slogdet(information * u**2)
+        swing_u = float(np.sqrt(left[SWING, SWING] + turn @ np.linalg.solve(information, turn)))
+        swing = float(solution.theta[SWING] - turn @ terms)
+        explanations.append(Unevenness(misfit, 0.5 * (misfit - float(gained)), (swing, swing_u)))
+    return max(explanations, key=lambda each: each.log_odds)
 
 
 def log_odds(rich: Solution, rich_survey: Survey, simple: Solution, simple_survey: Survey) -> float:

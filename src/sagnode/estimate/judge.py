@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from sagnode.capture.port import GreyImage
-from sagnode.estimate.matched import Matched, attachment_z, support, visible_share
+from sagnode.estimate.matched import SCORE_MIN, SUPPORT_MIN, Matched, attachment_z, is_wire, support, visible_share
 from sagnode.message import Estimate
 from sagnode.quality import Cause, Reason, Validity
 from sagnode.site import Site, SiteConductor
@@ -17,13 +17,11 @@ OVEREXPOSED_SHARE = 0.6
 """Share of saturated pixels above which wires are burnt away."""
 FLAT_DEVIATION = 2.5
 """Standard deviation of grey levels of a picture in which nothing is to be seen: covered lens, dense fog."""
-SCORE_MIN = 8.0
-"""Robust z-score over the shifted curves below which a wire is not proven."""
-SUPPORT_MIN = 0.30
-"""Least share of the curve in view that must stand out; a window does so by chance once in twenty."""
-VISIBLE_MIN = 0.20
+VISIBLE_MIN = 0.25
 VISIBLE_GOOD = 0.33
 """Shares of the span that must be seen for a questionable and for a good reading."""
+UNEVEN_VISIBLE_MIN = 0.5
+"""The same under an uneven load: nobody knows how a wire goes on where it is not seen."""
 SAG_U_MAX = 0.04
 """Relative standard uncertainty of sag above which linear propagation no longer holds."""
 UNEVEN_SAG_U_MAX = 0.025
@@ -77,16 +75,17 @@ def judge(
 
 
 def _not_a_wire(found: Matched) -> list[Reason]:
-    if found.sighting.score < SCORE_MIN or support(found) < SUPPORT_MIN:
+    if not is_wire(found):
         text = (
             f"no wire stands out where the conductor should be: score {found.sighting.score:.1f} (needs {SCORE_MIN:g}),"
             f" {100 * support(found):.0f} % of the curve in view on it (needs {100 * SUPPORT_MIN:g} %)"
         )
         return [Reason(Cause.NO_CONDUCTOR, text)]
     visible = visible_share(found)
-    if visible < VISIBLE_MIN:
-        text = f"only {100 * visible:.0f} % of the span is visible (needs {100 * VISIBLE_MIN:g} %)"
-        return [Reason(Cause.TOO_LITTLE_VISIBLE, text)]
+    needed = UNEVEN_VISIBLE_MIN if found.survey.load_u else VISIBLE_MIN
+    if visible < needed:
+        text = f"only {100 * visible:.0f} % of the span is visible (needs {100 * needed:g} %)"
+        return [Reason(Cause.TOO_LITTLE_VISIBLE, text), *_ice(found)]
     return []
 
 

@@ -2,15 +2,24 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
-import numpy as np
+from dataclasses import dataclass, replace
 
 from sagnode.capture.port import GreyImage
-from sagnode.estimate.even import find_even
-from sagnode.estimate.joint import log_odds, solve, unevenness
-from sagnode.estimate.matched import STAGES, Matched, looked_at, refine, support, survey_of, view_of, visible_share
+from sagnode.estimate.joint import Unevenness, log_odds, solve, unevenness
+from sagnode.estimate.matched import (
+    STAGES,
+    Matched,
+    is_wire,
+    looked_at,
+    refine,
+    support,
+    survey_of,
+    view_of,
+    visible_share,
+)
 from sagnode.estimate.register import Registered
+from sagnode.estimate.swings import Explanation, expected_swing, explanation, uneven_probabilities
+from sagnode.geometry.camera import FloatArray
 from sagnode.match.search import Candidate, search
 from sagnode.site import SiteConductor
 from sagnode.survey import LOAD, SAG, SWING, Survey
@@ -18,87 +27,173 @@ from sagnode.survey import LOAD, SAG, SWING, Survey
 LOAD_U = 0.3
 """Standard uncertainty of each term of an uneven load, where the picture asks for one: ice on half of the span with
 half of the conductor's own weight is a first term of 0.3."""
-SUSPECT_SUPPORT = 0.6
-SUSPECT_SHARE = 0.35
-"""Where less of an even curve, or of the span, shows a wire, the wire may hang unevenly, and that is tried."""
-EVEN_ODDS = 2.0
-"""Logarithm of the odds of an uneven over an even load above which the load is not taken for even."""
-SUSPECT_ODDS = -5.0
-APART_ODDS = -6.0
-"""The same where there is a reason to doubt that the load is even: UNEVENNESS, or a swing apart from the others'.
-
-Seen along the line, a swung even span and an unswung uneven one can look alike over the part that is clear. What the
-picture does not decide, the wider uncertainty of the uneven load must carry.
-"""
-UNEVENNESS, DOUBTFUL = 4.5, 9.0
-"""Misfit that an uneven load would take off, from which it is tried, and from which an even one is not believed: evenly
-loaded wires rarely exceed 3."""
-SWING_APART = (np.radians(1.0), 0.15, 3.0)
-"""Swings differ more than wind explains: this angle, this share of their mean and this many of their uncertainties."""
+LIGHT_LOADS_U = (0.1, LOAD_U)
+"""The same for a light load and a heavy one: with these an even curve's residuals are asked whether there is one."""
+LET_IN = 0.03
+"""Probability from which an uneven load is let in: where the picture makes it more likely than it is on any day."""
+SUSPECT_SUPPORT, SUSPECT_SHARE = 0.6, 0.35
+"""Where less of an even curve, or of the span, shows a wire, it is tried: what is beside the curve cannot ask."""
+SURELY = 0.5
+"""Probability of one conductor's uneven load from which no other is taken for even: ice does not fall on one alone."""
+DOUBTFUL = 9.0
+"""Misfit that an uneven load would take off, from which an even one is not believed."""
 FOLLOWING = 4
 """Rounds of the first refinement in which an uneven curve grows along the wire."""
 TILTS = (-0.6, -0.3, 0.3, 0.6)
 """First terms of an uneven load that are searched where no even curve is found."""
 
 
-def find(image: GreyImage, conductor: SiteConductor, registered: Registered) -> Matched | None:
-    """A conductor alone: hanging evenly, or, where the picture asks for it, with ice or a weight on a part of it."""
+@dataclass(frozen=True)
+class Doubt:
+    """A conductor as an even load explains it, and what speaks against that.
+
+    Attributes:
+        conductor: which.
+        survey: what is known of it, under an even load.
+        even: the match; None where no even curve was found.
+        strain: what its residuals say about an uneven load; None where it lies on no wire.
+    """
+
+    conductor: SiteConductor
+    survey: Survey
+    even: Matched | None
+    strain: Unevenness | None
+
+    @property
+    def swing_u(self) -> float:
+        """Standard uncertainty of the surveyed swing, rad."""
+        return self.survey.swing_u
+
+    def as_even(self) -> Explanation | None:
+        """The even load as an explanation of the picture."""
+        if self.even is None or self.strain is None:
+            return None
+        return explanation(0.0, *self.even.swing, self.swing_u)
+
+    def as_uneven(self) -> Explanation | None:
+        """An uneven load, by what the even one leaves over."""
+        return None if self.strain is None else explanation(self.strain.log_odds, *self.strain.swing, self.swing_u)
+
+    def is_strained(self) -> bool:
+        """Whether an uneven load would take so much off the misfit that the even one is not believed."""
+        return self.strain is not None and self.strain.misfit > DOUBTFUL
+
+    def hardly_seen(self) -> bool:
+        """Whether so little lies on the even curve that the wire may be elsewhere."""
+        return self.even is None or support(self.even) < SUSPECT_SUPPORT or visible_share(self.even) < SUSPECT_SHARE
+
+
+def doubt(conductor: SiteConductor, registered: Registered, even: Matched | None) -> Doubt:
+    """What one conductor's even match says against itself."""
     survey = survey_of(conductor, registered)
-    even = find_even(image, conductor, survey, registered)
-    if not conductor.measured:
-        return even
-    if even is not None:
-        even = looked_at(image, even)
-        strain = unevenness(even.solution, survey, LOAD_U)
-        if strain > UNEVENNESS:
-            even = replace(even, doubtful_load=strain > DOUBTFUL)
-            return even_or_not(image, conductor, registered, even, SUSPECT_ODDS)
-        if support(even) > SUSPECT_SUPPORT and visible_share(even) > SUSPECT_SHARE:
-            return even
-    return even_or_not(image, conductor, registered, even, EVEN_ODDS)
+    # a curve on nothing has nothing to say, neither about the load nor about the wind
+    strain = unevenness(even.solution, survey, LIGHT_LOADS_U) if even is not None and is_wire(even) else None
+    return Doubt(conductor, survey, even, strain)
 
 
-def hangs_apart(match: Matched, all_matches: list[Matched]) -> bool:
-    """Whether an evenly loaded conductor's swing differs from the others' by more than wind explains."""
-    others = [other.swing for other in all_matches if other is not match and not other.survey.load_u]
-    if match.survey.load_u or not others:
-        return False
-    middle = float(np.median([swing for swing, _ in others]))
-    swing, u = match.swing
-    angle, share, sigmas = SWING_APART
-    limit = angle + share * 0.5 * abs(swing + middle) + sigmas * np.hypot(u, np.median([v for _, v in others]))
-    return bool(abs(swing - middle) > limit)
+def settle_loads(
+    image: GreyImage, registered: Registered, evens: list[tuple[SiteConductor, Matched | None]]
+) -> list[Matched | None]:
+    """Every measured conductor of a span under the load that its picture and the others' swings leave it.
+
+    An even load is the rule, and where nothing speaks against it nothing more is done. Else every wire is followed
+    under an uneven one too; which of them may be uneven is decided for all together, and those are refined once more
+    with the swing that the others let expect.
+    """
+    doubts = [doubt(conductor, registered, even) for conductor, even in evens]
+    if not any(_suspect(doubts)):
+        return [even for _, even in evens]
+    followed = [_follow(image, registered, each) for each in doubts]
+    explained = [
+        (each.as_even(), _as_uneven(registered, each, found)) for each, found in zip(doubts, followed, strict=True)
+    ]
+    probable = _probable(explained, doubts)
+    uneven = [p > LET_IN or max(probable) > SURELY for p in probable]
+    believed = [pair[1] if other else pair[0] for pair, other in zip(explained, uneven, strict=True)]
+    settled: list[Matched | None] = []
+    for k, (each, found) in enumerate(zip(doubts, followed, strict=True)):
+        if not uneven[k] and each.strain is not None:
+            settled.append(each.even)
+            continue
+        others = [other for other in (*believed[:k], *believed[k + 1 :]) if other is not None]
+        settled.append(_refined(image, registered, each, found, expected_swing(others, each.swing_u)))
+    return settled
 
 
-def even_or_not(
-    image: GreyImage, conductor: SiteConductor, registered: Registered, even: Matched | None, least_odds: float
-) -> Matched | None:
-    """The conductor under an uneven load if its odds over the even one exceed ``least_odds``, else the even one.
+def _probable(explained: list[tuple[Explanation | None, Explanation | None]], doubts: list[Doubt]) -> list[float]:
+    """Probability of an uneven load of each conductor.
+
+    It is 0 where no even curve lies on a wire, which says nothing, and 1 where the even one is not to be believed.
+    """
+    seen = [k for k, (even, _) in enumerate(explained) if even is not None]
+    result = [0.0] * len(explained)
+    if seen:
+        probable = uneven_probabilities([explained[k] for k in seen], max(each.swing_u for each in doubts))
+        for k, p in zip(seen, probable, strict=True):
+            result[k] = 1.0 if doubts[k].is_strained() else p
+    return result
+
+
+def _suspect(doubts: list[Doubt]) -> list[bool]:
+    """Which conductors may hang unevenly, by their even curves alone."""
+    explained = [(each.as_even(), each.as_uneven()) for each in doubts]
+    return [each.hardly_seen() or p > LET_IN for each, p in zip(doubts, _probable(explained, doubts), strict=True)]
+
+
+def _follow(image: GreyImage, registered: Registered, each: Doubt) -> Matched | None:
+    """The conductor under an uneven load.
 
     From the part of an even curve that lies on the wire the terms of the load follow it along, round by round; where
     there is no such part, curves are searched whose load rises or falls along the span.
     """
-    plain = survey_of(conductor, registered)
-    survey = replace(plain, load_u=LOAD_U)
-    if even is not None:
-        start = even.solution.theta.copy()
+    survey = replace(each.survey, load_u=LOAD_U)
+    if each.even is not None:
+        start = each.even.solution.theta
     else:
-        tilted = [(tilt, _tilted(image, conductor, survey, registered, tilt)) for tilt in TILTS]
-        tilt, best = max(tilted, key=lambda pair: -np.inf if pair[1] is None else pair[1].score)
+        tilted = [(tilt, _tilted(image, each.conductor, survey, registered, tilt)) for tilt in TILTS]
+        tilt, best = max(tilted, key=lambda pair: -1.0 if pair[1] is None else pair[1].score)
         if best is None:
             return None
         start = registered.theta.copy()
         start[SAG], start[SWING], start[LOAD.start] = best.sag, best.swing, tilt
-    found = refine(image, conductor, survey, registered, start, [], FOLLOWING * STAGES[:1] + STAGES[1:])
-    if found is None or even is None:
-        return found or even
+    return _grown(image, each.conductor, survey, registered, start)
+
+
+def _grown(
+    image: GreyImage, conductor: SiteConductor, survey: Survey, registered: Registered, start: FloatArray
+) -> Matched | None:
+    return refine(image, conductor, survey, registered, start, [], FOLLOWING * STAGES[:1] + STAGES[1:])
+
+
+def _as_uneven(registered: Registered, each: Doubt, found: Matched | None) -> Explanation | None:
+    """The uneven load as an explanation: of what was seen following it, or of the even curve's own residuals."""
+    by_residuals = each.as_uneven()
+    if found is None:
+        return by_residuals
+    if each.even is None or each.strain is None:
+        return explanation(0.0, *found.swing, each.swing_u)
     # both explanations of the same offsets; an even load that sees little of the wire must not choose what to explain
-    simple = solve(plain, even.solution.theta, registered.camera, found.offsets, STAGES[-1].iterations)
-    odds = log_odds(found.solution, survey, simple, plain)
-    if odds <= least_odds:
-        return even
-    # the even curve's rivals, held against what this one shows
-    return replace(found, rival=even.rival * min(1.0, even.response / max(found.response, 1e-3)))
+    simple = solve(each.survey, each.even.solution.theta, registered.camera, found.offsets, STAGES[-1].iterations)
+    odds = log_odds(found.solution, found.survey, simple, each.survey)
+    by_following = explanation(odds, *found.swing, each.swing_u)
+    if by_residuals is None or (found.solution.converged and odds > by_residuals.log_evidence):
+        return by_following
+    return by_residuals
+
+
+def _refined(
+    image: GreyImage, registered: Registered, each: Doubt, found: Matched | None, expected: tuple[float, float]
+) -> Matched | None:
+    """The conductor under an uneven load with the swing that the others let expect."""
+    swing, swing_u = expected
+    survey = replace(each.survey, load_u=LOAD_U, swing_mean=swing, swing_u=swing_u)
+    start = found or each.even
+    refined = None if start is None else _grown(image, each.conductor, survey, registered, start.solution.theta)
+    if refined is None:
+        return each.even and replace(each.even, doubtful_load=True)
+    # what rivalled the even curve is that much less of a rival to one that lies better on the wire
+    rival = each.even.rival * min(1.0, each.even.response / max(refined.response, 1e-3)) if each.even else 0.0
+    return looked_at(image, replace(refined, rival=rival))
 
 
 def _tilted(

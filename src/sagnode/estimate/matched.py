@@ -36,6 +36,10 @@ STAGES = (Stage(8.0, 8.0, 2, 6, 5), Stage(5.0, 8.0, 4, 1, 6), Stage(3.0, 20.0, 8
 FOLLOWED_EXTENT, FOLLOWED_SHARE, FOLLOWED_PX = 0.6, 0.97, 0.5
 """A wire has been followed where its blocks reach over this share of the visible span, and this share of them lies off
 the solved curve by less than so many px."""
+SCORE_MIN = 8.0
+"""Robust z-score over the shifted curves below which a wire is not proven."""
+SUPPORT_MIN = 0.30
+"""Least share of the curve in view that must stand out; a window does so by chance once in twenty."""
 MAX_BLOCKS = 80
 """More blocks say nothing new: neighbours within a few dozen pixels share their error."""
 
@@ -161,6 +165,11 @@ def on_curve(solution: Solution, observed: Observed) -> NDArray[np.bool_]:
 def support(matched: Matched) -> float:
     """Share of the curve in the frame, by its length in the picture, on which a wire stands out."""
     return float(np.mean(matched.sighting.seen))
+
+
+def is_wire(matched: Matched) -> bool:
+    """Whether anything like a wire lies on the curve at all."""
+    return matched.sighting.score >= SCORE_MIN and support(matched) >= SUPPORT_MIN
 
 
 def visible_share(matched: Matched) -> float:

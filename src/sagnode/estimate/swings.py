@@ -1,0 +1,99 @@
+"""The swings of a span's conductors as evidence of their loads.
+
+One wind blows on all of them, so they swing alike. Seen along the line, ice or a weight on a part of a conductor looks
+like a swing that it does not have, and to different sides for conductors on different sides of the camera: what each
+picture of a wire leaves open by itself, the wires together decide.
+
+Every conductor has two explanations, an even load and an uneven one, each with its evidence and with what it says about
+the swing. The swings are spread about a common one φ̄, which has the survey's prior; loads are iced together or weighted
+singly. All of it is Gaussian in the swings, and φ̄ is integrated over a grid.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from sagnode.geometry.camera import FloatArray
+
+SPREAD = (np.radians(0.3), 0.1)
+"""Standard deviation of a conductor's swing about the common one: this angle, and this share of the common swing."""
+ICY_READINGS, ICED_THEN, WEIGHTED = 0.02, 0.9, 0.01
+"""Share of readings under ice, share of the conductors that are unevenly iced then, and of those with a weight else."""
+GRID = np.linspace(-4.0, 4.0, 641)
+"""Common swings that are tried, in standard uncertainties of the prior."""
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """What one load makes of the picture: a Gaussian likelihood of the swing.
+
+    Attributes:
+        log_evidence: logarithm of the evidence under the survey's own prior of the swing, up to a constant that the
+            explanations of one conductor share.
+        swing: at which the likelihood is greatest, rad.
+        variance: of the likelihood, rad².
+    """
+
+    log_evidence: float
+    swing: float
+    variance: float
+
+
+def explanation(log_evidence: float, swing: float, swing_u: float, prior_u: float) -> Explanation:
+    """From a posterior swing ± swing_u under a prior 0 ± prior_u (rad), its likelihood alone."""
+    precision = max(1 / swing_u**2 - 1 / prior_u**2, 1e-6 / prior_u**2)
+    return Explanation(log_evidence, swing / swing_u**2 / precision, 1 / precision)
+
+
+def uneven_probabilities(
+    explanations: Sequence[tuple[Explanation | None, Explanation | None]], prior_u: float
+) -> list[float]:
+    """Probability of an uneven load of every conductor, from their even and uneven explanations.
+
+    Args:
+        explanations: even and uneven one of each conductor; None where there is none.
+        prior_u: standard uncertainty of the common swing before looking, rad.
+    """
+    common = prior_u * GRID
+    even, uneven = (
+        np.array([_log_likelihood(pair[which], common, prior_u) for pair in explanations]) for which in (0, 1)
+    )
+    total, of_uneven = np.zeros(0), np.zeros((len(explanations), 0))
+    for share, each in ((ICY_READINGS, ICED_THEN), (1 - ICY_READINGS, WEIGHTED)):
+        either = np.logaddexp(uneven + np.log(each), even + np.log1p(-each))
+        here = np.log(share) - 0.5 * GRID**2 + either.sum(axis=0)
+        total = np.concatenate([total, here])
+        of_uneven = np.concatenate([of_uneven, here - either + uneven + np.log(each)], axis=1)
+    greatest = total.max()
+    whole = np.exp(total - greatest).sum()
+    return [float(np.exp(row - greatest).sum() / whole) for row in of_uneven]
+
+
+def expected_swing(others: Sequence[Explanation], prior_u: float) -> tuple[float, float]:
+    """Swing of a conductor, and its standard uncertainty, as the others let it be expected, rad."""
+    common = prior_u * GRID
+    weight = -0.5 * GRID**2 + sum((_log_likelihood(other, common, prior_u) for other in others), np.zeros(len(GRID)))
+    weight = np.exp(weight - weight.max())
+    weight /= weight.sum()
+    mean = float(weight @ common)
+    return mean, float(np.sqrt(weight @ ((common - mean) ** 2 + _spread(common) ** 2)))
+
+
+def _spread(common: FloatArray) -> FloatArray:
+    return np.asarray(np.hypot(SPREAD[0], SPREAD[1] * common))
+
+
+def _log_likelihood(explained: Explanation | None, common: FloatArray, prior_u: float) -> FloatArray:
+    """Logarithm of the evidence (N,) of an explanation where the swings are spread about each of some common ones."""
+    if explained is None:
+        return np.full(len(common), -1e9)
+    spread = _log_normal(explained.swing - common, explained.variance + _spread(common) ** 2)
+    alone = _log_normal(np.asarray(explained.swing), explained.variance + prior_u**2)
+    return np.asarray(explained.log_evidence + spread - alone)
+
+
+def _log_normal(difference: FloatArray, variance: FloatArray | float) -> FloatArray:
+    return np.asarray(-0.5 * difference**2 / variance - 0.5 * np.log(2 * np.pi * np.asarray(variance)))
