@@ -26,7 +26,7 @@ only cost time. The stand-in's numbers carry a checksum, so that a number that c
 
 NOTES = """
 A reading counts from its commit to the journal. An answer of the worker that was not committed yet when the daemon was
-killed is no reading; the remarks give their number, at most one burst a kill.
+killed, or told to stop, is no reading; the remarks give their number, at most one burst each time.
 
 ## What the campaign shortens
 

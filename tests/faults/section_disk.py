@@ -191,8 +191,9 @@ def run_pictures_refused(campaign, times):
             kind = ("full", "read-only", "broken")[number % 3]
             place = bad.place if kind == "broken" else small.place
             (place / "pictures").mkdir(exist_ok=True)
-            link.unlink(missing_ok=True)
-            link.symlink_to(place / "pictures")
+            fresh = link.with_name("fresh")
+            fresh.symlink_to(place / "pictures")
+            fresh.replace(link)  # in one step: the daemon would make a directory where there is none
             if rig.daemon is None:
                 rig.start()
             rig.wait_for(lambda place=place: list((place / "pictures").glob("*.jpg")), 60)
