@@ -25,6 +25,7 @@ import numpy as np
 from appearances_report import Outcome, document
 from groups import groups_by_name
 from sagnode.capture.port import GreyImage
+from sagnode.estimate.joint import LandmarkObservations, solve_camera
 from sagnode.estimate.judge import look
 from sagnode.estimate.register import Registered, moved_survey, register
 from sagnode.estimate.remember import remember
@@ -41,7 +42,7 @@ from sagnode.survey import CAMERA
 from worlds import Setting, any_moment, settle
 
 VIEWS = ("tower", "side100", "field-ground")
-DAYS, HOURS = 7, (7.5, 11.0, 14.5)
+DAYS, HOURS = 6, (7.5, 11.0, 14.5)
 """Days through the year, each with the next one, and hours of readings (UTC)."""
 DISTURBED = 0.25
 """Share of the frames in which something hides a landmark."""
@@ -88,9 +89,8 @@ def disturbed(image: GreyImage, site: Site, rng: np.random.Generator) -> GreyIma
     return image
 
 
-def pose_error(site: Site, scene: Scene, moment: Moment, registered: Registered) -> tuple[float, float]:
-    """Where the camera is thought to see mid-span against where it does: px, and over its standard uncertainty."""
-    survey = moved_survey(site.conductors[0].survey, registered.movement_px or 0.0)
+def middle_seen(scene: Scene, moment: Moment) -> tuple[FloatArray, FloatArray]:
+    """The middle of the first conductor's visible part (1, 3), and where it truly is in the frame (1, 2)."""
     conductor = next(c for c in scene.true.conductors if c.measured)
     wire = moment.wires.get(conductor.id, WireState(conductor.sag_min_m))
     point = wire_points(np.array(conductor.near), np.array(conductor.far), wire, np.linspace(0.0, 1.0, 41))
@@ -98,12 +98,33 @@ def pose_error(site: Site, scene: Scene, moment: Moment, registered: Registered)
     width, height = scene.intrinsics.width, scene.intrinsics.height
     inside = np.flatnonzero((true > 0).all(axis=1) & (true[:, 0] < width) & (true[:, 1] < height))
     middle = inside[len(inside) // 2 : len(inside) // 2 + 1]
+    return point[middle], true[middle]
+
+
+def pose_error(
+    site: Site, scene: Scene, moment: Moment, registered: Registered, now: FloatArray
+) -> tuple[float, float, float]:
+    """How wrong the camera's place is: px at the middle of the conductor.
+
+    Returns:
+        The error; the same over its standard uncertainty along an axis; and how far it is from what all landmarks of
+        the reference picture would give, every one found exactly where it is (``now``, px (N, 2), clicks' errors kept).
+    """
+    survey = moved_survey(site.conductors[0].survey, registered.movement_px or 0.0)
+    point, true = middle_seen(scene, moment)
     intrinsics, pose = survey.camera(registered.theta)
-    error = (project(intrinsics, pose, point[middle])[0] - true[middle])[0]
-    _, by_camera = projection_derivatives(intrinsics, pose, point[middle])
+    thought = project(intrinsics, pose, point)[0]
+    error = (thought - true)[0]
+    _, by_camera = projection_derivatives(intrinsics, pose, point)
     prior = np.diag(1 / survey.prior_sigma()[CAMERA] ** 2)
     covariance = by_camera[0] @ np.linalg.inv(registered.camera.precision + prior) @ by_camera[0].T
-    return float(np.hypot(*error)), float(np.sqrt(error @ np.linalg.solve(covariance, error) / 2))
+    seen = registered.tracked.visible if registered.tracked is not None else np.ones(len(now), dtype=bool)
+    exact = LandmarkObservations(
+        site.landmark_positions[seen], site.landmark_position_u[seen], now[seen], site.landmark_click_u[seen]
+    )
+    best = project(*survey.camera(solve_camera(survey, exact).theta), point)[0]
+    z = float(np.sqrt(error @ np.linalg.solve(covariance, error) / 2))
+    return float(np.hypot(*error)), z, float(np.hypot(*(thought - best)[0]))
 
 
 def without_a_landmark(scene: Scene, rng: np.random.Generator) -> Scene:
@@ -150,10 +171,10 @@ def world(view: str, seed: int, index: int) -> Outcome:
 def _registered(
     outcome: Outcome, site: Site, scene: Scene, moment: Moment, image: GreyImage, kept: Appearances, now: FloatArray
 ) -> None:
-    tellers: list[tuple[Registered, bool, tuple[float, float] | None]] = []
+    tellers: list[tuple[Registered, bool, tuple[float, float, float] | None]] = []
     for appearances in ((), kept):
         registered, reasons = register(site, image, appearances)
-        error = None if reasons else pose_error(site, scene, moment, registered)
+        error = None if reasons else pose_error(site, scene, moment, registered, now)
         tellers.append((registered, bool(reasons), error))
     outcome.without.take(*tellers[0])
     outcome.kept.take(*tellers[1])

@@ -40,11 +40,14 @@ def test_the_error_of_the_pose_is_small_where_all_is_well_and_large_where_the_ca
     moment = any_moment(setting)
     registered, reasons = register(site, render(setting.scene, moment).image)
     assert not reasons
-    pixels, z = pose_error(site, setting.scene, moment, registered)
+    now = registered.tracked.pixels if registered.tracked is not None else np.empty((0, 2))
+    assert np.isfinite(now).all()
+    pixels, z, aside = pose_error(site, setting.scene, moment, registered, now)
+    assert aside < 0.2
     assert pixels < 3.0
     assert z < 4.0
     elsewhere = replace(moment, turn_rad=(0.02, 0.02, 0.0))
-    assert pose_error(site, setting.scene, elsewhere, registered)[0] > 10.0
+    assert pose_error(site, setting.scene, elsewhere, registered, now)[0] > 10.0
 
 
 def test_something_hides_a_landmark(world: tuple[Setting, Site]) -> None:
@@ -55,12 +58,12 @@ def test_something_hides_a_landmark(world: tuple[Setting, Site]) -> None:
 
 
 def test_the_report_tells_the_counts() -> None:
-    told = Tally(frames=10, visible=60, found=57, lost=1, pixels=[0.5] * 9, z=[1.0] * 8 + [9.0])
+    told = Tally(frames=10, visible=60, found=57, lost=1, pixels=[0.5] * 9, z=[1.0] * 8 + [9.0], aside=[0.25] * 9)
     outcome = Outcome(
         without=Tally(frames=10, visible=60), kept=told, places=[0.1, -0.1], readings=[(False, True, 0.4)]
     )
     text = document({"side100": [outcome]}, 3)
-    assert "| side100, with appearances | 10 | 95.0 % | 1 | 0.50 |" in text
+    assert "| side100, with appearances | 10 | 95.0 % | 1 | 0.25 | 0.25 | 0.50 |" in text
     assert "| side100, reference alone | 10 | – | 0 |" in text
     assert "1 landmarks were found by an appearance, 0.10 px off" in text
     assert "Told by the reference alone: 0; with appearances: 1" in text

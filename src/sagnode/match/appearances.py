@@ -1,7 +1,7 @@
 """Appearances: further looks of a landmark, beside that of the reference picture.
 
 The reference picture defines where a landmark is; an appearance is a cut-out of a later frame in which that place was
-known, to be found again where the reference's patch is not. Decision record 6 says how they come and go.
+known, to be found again where the reference's patch is not. Decision record 7 says how they come and go.
 """
 
 from __future__ import annotations
