@@ -1,81 +1,21 @@
-"""The link against a real mosquitto: delivery, outages, TLS, passwords, and what a technician is told."""
+"""The link against a real mosquitto: delivery, outages, passwords, and what a technician is told."""
 
 import logging
 import signal
-import socket
-import ssl
 import subprocess
-import threading
 import time
-from datetime import timedelta
 
 import pytest
-from brokers import MOSQUITTO, Mosquitto, Subscriber, free_port, make_certificates
-from readings import START, fill
+from brokers import MOSQUITTO, Mosquitto, Subscriber, free_port
+from links import OFFLINE, ONLINE, sequences
+from nodes import wait_for
+from readings import fill
+from relays import Cable, Deaf
 
 from sagnode.daemon import session
-from sagnode.daemon.broker import Broker
 from sagnode.daemon.journal import Journal
-from sagnode.daemon.link import Link
-from sagnode.daemon.outbox import Outbox
-from sagnode.daemon.session import Terms
 
 pytestmark = pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed")
-
-OFFLINE, LOST, ONLINE = b'{"state":"offline"}', b'{"state":"lost"}', b'{"state":"online"}'
-
-
-class Node:
-    def __init__(self, directory, *, inflight=5, backlog_per_s=2000.0, expiry_s=1e9, **broker):
-        self.journal = Journal(directory / "journal.sqlite")
-        self.outbox = Outbox(
-            self.journal,
-            inflight=inflight,
-            backlog_per_s=backlog_per_s,
-            expiry_s=expiry_s,
-            now=lambda: START + timedelta(hours=1),
-        )
-        settings = {"host": "127.0.0.1", "client_id": "node-1", "keepalive_s": 5, **broker}
-        self.link = Link(Terms(Broker(**settings), "t/1", lambda: ONLINE, LOST, 3600.0), self.outbox)
-        self.link.start()
-
-    def make(self, bursts):
-        for _ in range(bursts):
-            fill(self.journal, 1)
-            self.link.wake()
-
-    def wait_connected(self, seconds=10.0):
-        until = time.monotonic() + seconds
-        while not self.link.connected:
-            assert time.monotonic() < until, self.link.state
-            time.sleep(0.01)
-
-    def wait_state(self, text, seconds=10.0):
-        until = time.monotonic() + seconds
-        while text not in self.link.state:
-            assert time.monotonic() < until, self.link.state
-            time.sleep(0.01)
-
-    def close(self):
-        self.link.stop(0.0, OFFLINE)
-        self.journal.close()
-
-
-@pytest.fixture
-def node(tmp_path):
-    nodes = []
-
-    def build(**options):
-        nodes.append(Node(tmp_path, **options))
-        return nodes[-1]
-
-    yield build
-    for made in nodes:
-        made.close()
-
-
-def sequences(subscriber):
-    return [r["sequence"] for r in subscriber.readings()]
 
 
 @pytest.mark.parametrize("mqtt5", [True, False])
@@ -86,10 +26,7 @@ def test_readings_arrive_and_are_delivered_on_puback(tmp_path, node, mqtt5):
         n.link.show("health", b'{"ok":1}')
         subscriber.wait_for(lambda s: len(s.readings()) == 9 and s.of("health"))
         assert sorted(sequences(subscriber)) == list(range(1, 10))
-        until = time.monotonic() + 3
-        while n.journal.backlog().depth and time.monotonic() < until:
-            time.sleep(0.01)
-        assert n.journal.backlog().depth == 0
+        wait_for(lambda: n.journal.backlog().depth == 0)
         assert subscriber.of("status")[0].payload == ONLINE
         message = subscriber.of("measurement")[0]
         assert message.topic.startswith("t/1/measurement/L")
@@ -102,9 +39,7 @@ def test_newest_is_retained_and_backfill_does_not_overwrite_it(tmp_path, node):
     with Mosquitto(tmp_path) as broker:
         n = node(port=broker.port)
         n.make(20)
-        until = time.monotonic() + 10
-        while n.journal.backlog().depth and time.monotonic() < until:
-            time.sleep(0.01)
+        wait_for(lambda: n.journal.backlog().depth == 0)
         with Subscriber(broker.port) as late:
             late.wait_for(lambda s: len(s.readings()) == 3)
             assert sorted(sequences(late)) == [58, 59, 60]
@@ -117,9 +52,7 @@ def test_clean_stop_says_offline_and_a_lost_node_is_told_by_its_will(tmp_path, n
         n = node(port=broker.port)
         n.make(1)
         n.wait_connected()
-        before = time.monotonic()
         n.link.stop(5.0, OFFLINE)
-        assert time.monotonic() - before < 2.0
         subscriber.wait_for(lambda s: [m.payload for m in s.of("status")] == [ONLINE, OFFLINE])
         assert n.journal.backlog().depth == 0
         with Subscriber(broker.port, "t/1/status") as late:
@@ -193,16 +126,15 @@ def test_the_daemon_does_not_wait_for_the_network(tmp_path, node):
         for _ in range(100):
             n.link.wake()
             n.link.show("health", b"{}")
-        assert time.monotonic() - before < 0.5
-        before = time.monotonic()
         n.link.stop(0.5, OFFLINE)
-        assert time.monotonic() - before < 4.0
+        # one acknowledgement that is waited for would take longer
+        assert time.monotonic() - before < session.PUBACK_WAIT_S
 
 
 def test_a_backlog_is_drained_fast_and_a_fresh_reading_does_not_wait(tmp_path, node):
     with Mosquitto(tmp_path, "max_queued_messages 0") as broker, Subscriber(broker.port) as subscriber:
         journal = Journal(tmp_path / "journal.sqlite")
-        for _ in range(30):
+        for _ in range(12):
             fill(journal, 1, [f"L{i}" for i in range(100)])
         journal.close()
         n = node(port=broker.port, backlog_per_s=300.0, inflight=20)
@@ -213,7 +145,7 @@ def test_a_backlog_is_drained_fast_and_a_fresh_reading_does_not_wait(tmp_path, n
         subscriber.wait_for(lambda s: first in sequences(s))
         assert n.journal.backlog().depth > 0  # it passed the others
         subscriber.wait_for(lambda s: n.journal.backlog().depth == 0, 20)
-        assert sorted(sequences(subscriber)) == list(range(1, 3004))
+        assert sorted(sequences(subscriber)) == list(range(1, 1204))
 
 
 @pytest.mark.parametrize(
@@ -255,193 +187,9 @@ def test_passwords_right_wrong_and_missing(tmp_path, node, monkeypatch):
         n.wait_connected(20)
 
 
-@pytest.fixture(scope="module")
-def certificates(tmp_path_factory):
-    directory = tmp_path_factory.mktemp("certificates")
-    make_certificates(directory)
-    return directory
-
-
-def tls_broker(tmp_path, certificates, *, client_certificates):
-    lines = [
-        f"cafile {certificates}/ca.crt",
-        f"certfile {certificates}/server.crt",
-        f"keyfile {certificates}/server.key",
-    ]
-    return Mosquitto(tmp_path, *lines, *(["require_certificate true"] if client_certificates else []))
-
-
-def test_tls_with_client_certificates(tmp_path, node, certificates):
-    c = certificates
-
-    def prepare(client):
-        client.tls_set(str(c / "ca.crt"), str(c / "client.crt"), str(c / "client.key"))
-
-    with (
-        tls_broker(tmp_path, c, client_certificates=True) as broker,
-        Subscriber(broker.port, prepare=prepare, host="localhost") as subscriber,
-    ):
-        n = node(
-            host="localhost",
-            port=broker.port,
-            tls=True,
-            ca_file=c / "ca.crt",
-            cert_file=c / "client.crt",
-            key_file=c / "client.key",
-        )
-        n.make(30)
-        subscriber.wait_for(lambda s: len(set(sequences(s))) == 90)
-        assert n.journal.backlog().depth <= 90
-
-
-@pytest.mark.parametrize(
-    ("settings", "text"),
-    [
-        ({"ca_file": "other.crt"}, "certificate is not accepted"),
-        ({"ca_file": "ca.crt", "host": "127.0.0.1"}, "certificate is not accepted"),
-        ({"ca_file": "ca.crt"}, "wants a client certificate (certificate required)"),
-        ({"ca_file": "ca.crt", "cert_file": "stranger.crt", "key_file": "stranger.key"}, "stranger.crt (unknown ca"),
-        ({"ca_file": "ca.crt", "cert_file": "missing.crt", "key_file": "client.key"}, "missing.crt"),
-        ({"ca_file": "ca.crt", "cert_file": "client.crt", "key_file": "stranger.key"}, "TLS fails"),
-    ],
-)
-def test_tls_that_cannot_be_is_told(tmp_path, node, certificates, settings, text):
-    files = {k: certificates / v for k, v in settings.items() if k.endswith("file")}
-    with tls_broker(tmp_path, certificates, client_certificates=True) as broker:
-        n = node(port=broker.port, tls=True, **{"host": settings.get("host", "localhost"), **files})
-        n.wait_state(text)
-        assert not n.link.connected
-
-
-def test_plain_against_tls_and_tls_against_plain(tmp_path, node, certificates):
-    with tls_broker(tmp_path, certificates, client_certificates=False) as broker:
-        node(port=broker.port).wait_state("may want TLS")
-    with Mosquitto(tmp_path) as broker:
-        node(host="localhost", port=broker.port, tls=True).wait_state("TLS")
-
-
 def test_a_second_client_with_the_same_name_is_told(tmp_path, node):
     with Mosquitto(tmp_path) as broker:
         n = node(port=broker.port)
         n.wait_connected()
         with Subscriber(broker.port, prepare=lambda c: setattr(c, "_client_id", b"node-1")):
             n.wait_state("client_id")
-
-
-class Cable:
-    """A TCP relay that can be cut; it lets connections through again at once."""
-
-    def __init__(self, to_port):
-        self._to = to_port
-        self._server = socket.create_server(("127.0.0.1", 0))
-        self.port = self._server.getsockname()[1]
-        self._ends = []
-        threading.Thread(target=self._accept, daemon=True).start()
-
-    def _accept(self):
-        while True:
-            try:
-                near, _ = self._server.accept()
-            except OSError:
-                return
-            far = socket.create_connection(("127.0.0.1", self._to))
-            self._ends += [near, far]
-            for a, b in ((near, far), (far, near)):
-                threading.Thread(target=self._pump, args=(a, b), daemon=True).start()
-
-    @staticmethod
-    def _pump(a, b):
-        try:
-            while chunk := a.recv(65536):
-                b.sendall(chunk)
-        except OSError:
-            pass
-        finally:
-            for end in (a, b):
-                end.close()
-
-    def cut(self):
-        for end in self._ends:
-            try:
-                end.shutdown(socket.SHUT_RDWR)
-            except OSError:
-                continue
-        self._ends = []
-
-    def __enter__(self):
-        return self
-
-    def __exit__(self, *_):
-        self._server.close()
-        self.cut()
-
-
-class Deaf:
-    """Takes an MQTT 5 connection and acknowledges nothing; counts PUBLISH packets."""
-
-    CONNACK = bytes([0x20, 3, 0, 0, 0])
-
-    def __init__(self):
-        self._server = socket.create_server(("127.0.0.1", 0))
-        self.port = self._server.getsockname()[1]
-        self.publishes = 0
-        self._connections = []
-        threading.Thread(target=self._accept, daemon=True).start()
-
-    def _accept(self):
-        while True:
-            try:
-                connection, _ = self._server.accept()
-            except OSError:
-                return
-            self._connections.append(connection)
-            threading.Thread(target=self._serve, args=(connection,), daemon=True).start()
-
-    def _serve(self, connection):
-        stream = connection.makefile("rb")
-        try:
-            while head := stream.read(1):
-                length, shift = 0, 0
-                while True:
-                    byte = stream.read(1)[0]
-                    length |= (byte & 127) << shift
-                    shift += 7
-                    if byte < 128:
-                        break
-                stream.read(length)
-                if head[0] >> 4 == 1:
-                    connection.sendall(self.CONNACK)
-                elif head[0] >> 4 == 3:
-                    self.publishes += 1
-        except (OSError, IndexError, ssl.SSLError):
-            pass
-
-    def hang_up(self):
-        for connection in self._connections:
-            connection.shutdown(socket.SHUT_RDWR)
-
-    def __enter__(self):
-        return self
-
-    def __exit__(self, *_):
-        self._server.close()
-
-
-def test_a_ca_from_before_rfc_5280_is_told_with_its_remedy(tmp_path):
-    """Python 3.13 refuses such a CA; earlier ones take it, so there the same strictness is asked of the context."""
-    make_certificates(tmp_path, key_usage=False)
-    strict = ssl.create_default_context(cafile=tmp_path / "ca.crt")
-    strict.verify_flags |= ssl.VERIFY_X509_STRICT
-    server = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
-    server.load_cert_chain(tmp_path / "server.crt", tmp_path / "server.key")
-    ours, theirs = ssl.MemoryBIO(), ssl.MemoryBIO()
-    client_side = strict.wrap_bio(ours, theirs, server_hostname="localhost")
-    server_side = server.wrap_bio(theirs, ours, server_side=True)
-    for side in (client_side, server_side):
-        with pytest.raises(ssl.SSLWantReadError):
-            side.do_handshake()
-    with pytest.raises(ssl.SSLCertVerificationError) as refused:
-        client_side.do_handshake()
-    said = Broker("localhost", 8883, "unit").explain(refused.value)
-    assert said.startswith("localhost:8883")
-    assert "keyUsage" in said

@@ -67,10 +67,10 @@ def readings(directory):
         return [json.loads(text) for (text,) in db.execute("SELECT json FROM readings ORDER BY sequence")]
 
 
-def wait_for(condition, seconds=30.0):
-    """What ``condition`` gives as soon as it gives anything; fails when that takes too long."""
+def wait_for(condition, seconds=30.0, told=lambda: ""):
+    """What ``condition`` gives as soon as it gives anything; fails when that takes too long, with what is ``told``."""
     until = time.monotonic() + seconds
     while not (result := condition()):
-        assert time.monotonic() < until, f"not in {seconds} s"
-        time.sleep(0.05)
+        assert time.monotonic() < until, f"not in {seconds} s; {told()}"
+        time.sleep(0.02)
     return result
