@@ -62,9 +62,11 @@ def find_even(image: GreyImage, conductor: SiteConductor, survey: Survey, regist
         return results[0]
     # what is left open by the clear part of the best one, and other candidates that are nearly as good
     again = [results[0], *(r for r in results[1:] if _rivalry(image, results[0], r) > RIVAL_WORTH_A_LOOK)]
-    starts = [(r.solution.theta, remaining_stages(r)) for r in again]
-    starts += [(start, STAGES[1:]) for start in _along_the_valley(image, results[0], conductor)]
-    refined = [refine(image, conductor, survey, registered, start, [], stages) for start, stages in starts]
+    refined = [
+        refine(image, conductor, survey, registered, r.solution.theta, [], remaining_stages(r), r.track) for r in again
+    ]
+    valley = _along_the_valley(image, results[0], conductor)
+    refined += [refine(image, conductor, survey, registered, start, [], STAGES[1:]) for start in valley]
     aside = _a_spacing_aside(image, results[0], conductor)
     refined += [refine(image, conductor, survey, registered, start, [], STAGES) for start in aside]
     finals = sorted(filter(None, refined), key=_merit, reverse=True)

@@ -103,14 +103,18 @@ def refine(
     theta: FloatArray,
     others: list[FloatArray],
     stages: tuple[Stage, ...],
+    begun: Track | None = None,
 ) -> Matched | None:
-    """Measure across the curve, solve jointly, and again about the new curve, looking ever closer."""
+    """Measure across the curve, solve jointly, and again about the new curve, looking ever closer.
+
+    ``begun`` is the curve at ``theta``, where it is known already.
+    """
     solution: Solution | None = None
     observed: Observed | None = None
     offsets: CurveObservations | None = None
+    view = view_of(survey, conductor, theta)
+    curve = begun if begun is not None else trace(view, float(theta[SAG]), float(theta[SWING]))
     for stage in stages:
-        view = view_of(survey, conductor, theta)
-        curve = trace(view, float(theta[SAG]), float(theta[SWING]))
         if curve is None:
             return None
         block_px = max(stage.block_px, float(curve.arc[-1]) / MAX_BLOCKS)
@@ -127,11 +131,9 @@ def refine(
         )
         solution = solve(survey, theta, registered.camera, offsets, stage.iterations)
         theta = solution.theta
-    if solution is None or observed is None or offsets is None:
-        return None
-    view = view_of(survey, conductor, theta)
-    curve = trace(view, float(theta[SAG]), float(theta[SWING]))
-    if curve is None:
+        view = view_of(survey, conductor, theta)
+        curve = trace(view, float(theta[SAG]), float(theta[SWING]))
+    if solution is None or observed is None or offsets is None or curve is None:
         return None
     response = _mixed_response(image, curve)
     return Matched(survey, solution, view, curve, observed, offsets, response)
