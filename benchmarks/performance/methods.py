@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -213,8 +213,3 @@ def _scored(site: Site, shot: Shot) -> int:
         except _Counted:
             return counts[0]
     raise RuntimeError("the search scored no template: its grid no longer goes through sagnode.match.search._peaks")
-
-
-def without_neighbours(site: Site) -> Site:
-    """The site with its measured conductors only."""
-    return replace(site, conductors=tuple(c for c in site.conductors if c.measured))

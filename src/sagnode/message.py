@@ -33,6 +33,18 @@ class Quantity(NamedTuple):
         return self.value_field, f"{self.stem}_u", f"{self.stem}_lo", f"{self.stem}_hi"
 
 
+SEEN = (
+    "frames_used",
+    "frames_rejected",
+    "visible_share",
+    "match_score",
+    "pose_residual_px",
+    "landmarks_used",
+    "landmarks_by_appearance",
+    "oldest_appearance_at",
+    "method",
+)
+"""What a reading says of how it came about, as the worker hands it on; names of fields."""
 QUANTITIES: tuple[Quantity, ...] = (
     Quantity("sag", "m", "chord sag: greatest vertical distance from the straight line A-B down to the conductor"),
     Quantity("inplane_sag", "m", "the same in the conductor's swung plane, along apparent gravity"),

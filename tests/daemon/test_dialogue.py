@@ -188,10 +188,6 @@ def test_a_bad_command_is_answered_and_does_nothing_and_a_retained_one_not_even_
     assert len(node.subscriber.readings()) == made
 
 
-def topic_pattern(channel):
-    return re.sub(r"\{\w+\}", "[^/]+", f"{PREFIX}/{channel.topic}")
-
-
 def test_everything_that_was_published_is_in_the_asyncapi_document(node):
     raise_clearance(node)
     models = {

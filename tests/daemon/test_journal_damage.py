@@ -3,11 +3,13 @@
 import os
 import random
 import shutil
+import sqlite3
 from datetime import UTC, datetime
 
 import pytest
 from readings import fill
 
+from sagnode.daemon import salvage
 from sagnode.daemon import sequence as sequence_module
 from sagnode.daemon.journal import Journal
 from sagnode.daemon.wal import lost_frames
@@ -208,3 +210,25 @@ def test_another_disk_at_the_same_place_is_not_counted_on(path, monkeypatch):
     journal._suspect, journal._device = True, -1
     with pytest.raises(DiskError, match="another disk"):
         fill(journal, 1, ("L1",))
+
+
+def test_a_disk_that_fills_while_a_damaged_file_is_mended_costs_no_reading(path, monkeypatch):
+    """The disk's part is played: a real one cannot be made to fill between two rows."""
+    journal = Journal(path)
+    fill(journal, 50)
+    journal.close()
+    with path.open("r+b") as stream:
+        stream.write(b"not a database any more")
+    whole = salvage.salvage
+
+    def cut_short(*words):
+        yield next(whole(*words))
+        raise sqlite3.OperationalError("database or disk is full")
+
+    with monkeypatch.context() as full:
+        full.setattr(salvage, "salvage", cut_short)
+        with pytest.raises(DiskError, match="full"):
+            Journal(path)
+    mended = Journal(path)
+    assert numbers(mended) == list(range(1, 151))
+    mended.close()

@@ -14,7 +14,7 @@ from typing import Any, TextIO
 from sagnode.cli.journal_words import add_filters, journal_path, wanted
 from sagnode.daemon.journal_reader import Rows, Stored
 from sagnode.errors import SagnodeError
-from sagnode.message import QUANTITIES
+from sagnode.message import QUANTITIES, SEEN
 
 DESCRIPTION = """Write readings of the journal, oldest first. CSV has one row a reading and a column for every value,
 its standard uncertainty and its 95 % interval (empty where there is none); JSON lines are the published messages with
@@ -22,21 +22,7 @@ their delivery. Works beside the running service and without it."""
 EPILOG = "exit codes: 0 fine, 1 no journal, or damaged readings in it were left out, 2 usage or bad configuration"
 
 HEADER = ("sequence", "acquired_at", "utility", "line", "span", "unit", "conductor", "phase")
-TRAILER = (
-    "clock_synced",
-    "frames_used",
-    "frames_rejected",
-    "visible_share",
-    "match_score",
-    "pose_residual_px",
-    "landmarks_used",
-    "landmarks_by_appearance",
-    "oldest_appearance_at",
-    "method",
-    "calibration_id",
-    "configuration_id",
-    "software_version",
-)
+TRAILER = ("clock_synced", *SEEN, "calibration_id", "configuration_id", "software_version")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -109,6 +109,16 @@ def set_aside(path: Path) -> Path:
     return aside
 
 
+def put_back(aside: Path, path: Path) -> None:
+    """Undo :func:`set_aside`, in the place of whatever was begun since; what the disk refuses stays aside."""
+    for suffix in ("-wal", "-shm", ""):
+        with contextlib.suppress(OSError):
+            path.with_name(path.name + suffix).unlink(missing_ok=True)
+            part = aside.with_name(aside.name + suffix)
+            if part.exists():
+                part.rename(path.with_name(path.name + suffix))
+
+
 def forget_old_quarantine(path: Path) -> None:
     """Keep the newest damaged files only."""
     kept = sorted(path.parent.glob(f"{path.stem}-damaged-*{path.suffix}"), key=lambda file: file.stat().st_mtime)

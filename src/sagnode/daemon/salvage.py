@@ -25,6 +25,7 @@ from sagnode.daemon.journal_file import (
     forget_old_quarantine,
     is_sound,
     open_file,
+    put_back,
     set_aside,
     text_of,
     transaction,
@@ -58,9 +59,14 @@ def start_afresh(path: Path, up_to: int) -> tuple[sqlite3.Connection, Path, int]
         sqlite3.Error: the same, said by SQLite.
     """
     aside = set_aside(path)
-    db = open_file(path)
-    with transaction(db):
-        count = db.executemany(INSERT, salvage(aside, up_to)).rowcount
+    with contextlib.ExitStack() as undo:
+        # An empty journal would pass for a sound one at the next attempt, and the readings stay where nobody looks.
+        undo.callback(put_back, aside, path)
+        db = open_file(path)
+        undo.callback(db.close)
+        with transaction(db):
+            count = db.executemany(INSERT, salvage(aside, up_to)).rowcount
+        undo.pop_all()
     forget_old_quarantine(path)
     return db, aside, max(0, count)
 

@@ -11,23 +11,12 @@ from datetime import datetime
 
 from pydantic import ValidationError
 
-from sagnode.message import Estimate, Identity, QualityMessage, Reading, ReadingHeader, estimate_fields
+from sagnode.message import SEEN, Estimate, Identity, QualityMessage, Reading, ReadingHeader, estimate_fields
 from sagnode.quality import Cause, Reason, Validity
 from sagnode.worker.protocol import ConductorResult, MeasureReply
 
 UNNUMBERED = 1
 """Sequence of a reading that the journal has not numbered yet."""
-_SEEN = (
-    "frames_used",
-    "frames_rejected",
-    "visible_share",
-    "match_score",
-    "pose_residual_px",
-    "landmarks_used",
-    "landmarks_by_appearance",
-    "oldest_appearance_at",
-    "method",
-)
 
 
 @dataclass(frozen=True)
@@ -114,7 +103,7 @@ class _Moment:
 
 
 def _seen(result: ConductorResult) -> dict[str, object]:
-    return {name: getattr(result, name) for name in _SEEN}
+    return {name: getattr(result, name) for name in SEEN}
 
 
 def _contradiction(result: ConductorResult) -> str | None:

@@ -24,7 +24,6 @@ from sagnode.errors import ConfigError
 from sagnode.worker.supervisor import START_DEADLINE_S
 
 SCHEMA = "sagnode.doctor/1"
-SKIPPABLE = ("camera", "broker", "system")
 CONFIGURATION, DAEMON, CAMERA = "configuration", "daemon", "camera"
 
 
@@ -33,7 +32,7 @@ def examine(config: Path, skip: Collection[str] = ()) -> Iterator[Finding]:
 
     Args:
         config: node file or its directory.
-        skip: of :data:`SKIPPABLE`; each is reported as skipped.
+        skip: of ``camera``, ``broker`` and ``system``; each is reported as skipped.
     """
     report = check(config)
     loaded = report.loaded if isinstance(report.loaded, LoadedNode) else None
