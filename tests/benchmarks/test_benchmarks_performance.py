@@ -162,6 +162,30 @@ def test_ratios_scale_the_templates_that_were_run_and_nothing_else():
         cases.one("own", view="field")
 
 
+def test_a_missed_target_says_where_the_time_is_the_dearest_first():
+    spent = {"register": 0.008, "locate": 0.085, "search": 0.05, "refine": 0.02, "solve": 0.01, "tell": 0.007}
+    cases = tables.Cases(
+        [
+            {"case": "reading", "view": "field", "min": 0.1, "spent": spent},
+            {"case": "decoding", "view": "field", "min": 0.03},
+            *({"case": "burst", "view": "tower", "frames": n, "min": 0.1 * n} for n in (1, 8)),
+            *(
+                {"case": "own", "view": v, "wanted": n, "spent": spent}
+                for v in ("tower", "field")
+                for n in (300, 10000)
+            ),
+            *(
+                {"case": "literal", "view": v, "method": "Bézier", "templates": 300, "spent": {"matchTemplate": 9.0}}
+                for v in ("tower", "field")
+            ),
+        ]
+    )
+    text = tables.targets_section(cases, None)
+    assert "of the 100 ms" in text
+    assert "the coarse search 50, measuring across the curves 20, the joint estimates 10" in text
+    assert "all else 5." in text
+
+
 def test_sampled_stacks_are_summed_by_this_programs_functions():
     entry, refine, numpy_ = (
         "measure_frame (sagnode/pipeline.py",
