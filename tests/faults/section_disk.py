@@ -6,6 +6,7 @@ import shutil
 import subprocess
 import time
 from functools import partial
+from pathlib import Path
 
 from campaign import Skip
 from rig import Rig
@@ -118,11 +119,10 @@ def run_errors(campaign, times):
                 # the kernel makes it read-only, and the node leaves it
                 rig.wait_for(lambda: (p := rig.page()) and "in memory" in p["health"]["journal"], 90)
                 rig.wait_good(1)
+                unmounted(disk)  # still failing, or the node might be home again before somebody takes it out
                 disk.failing = False
-                unmounted(disk)  # somebody repairs it and mounts it again
                 time.sleep(campaign.random.uniform(0.0, 1.0))
-                subprocess.run(["fsck.ext4", "-p", disk.device], check=False, capture_output=True)
-                disk.mount()
+                disk.repaired()
                 recovery.append(recorded_again(rig))
             refused = disk.refused
             rig.last_run()
@@ -136,7 +136,19 @@ def unmounted(disk):
         with contextlib.suppress(OSError):
             return disk.unmount()
         time.sleep(0.05)
-    return disk.unmount()
+    raise AssertionError(f"{disk.place} is held by {holders(disk.place)}")
+
+
+def holders(place):
+    """Open files below a directory, with their processes."""
+    found = []
+    for link in Path("/proc").glob("[0-9]*/fd/*"):
+        with contextlib.suppress(OSError):
+            if str(link.readlink()).startswith(str(place)):
+                found.append(
+                    f"{(link.parents[1] / 'comm').read_text().strip()} {link.parts[2]}: {link.readlink().name}"
+                )
+    return found
 
 
 def run_slow(campaign, times):
@@ -210,10 +222,9 @@ def run_pictures_refused(campaign, times):
             elif kind == "read-only":
                 small.remount("rw")
             else:
-                bad.failing = False
                 unmounted(bad)
-                subprocess.run(["fsck.ext4", "-p", bad.device], check=False, capture_output=True)
-                bad.mount()
+                bad.failing = False
+                bad.repaired()
             recovery.append(next(t for t, what, _ in rig.entries(tail=20_000) if t > at and what == "G") - at)
         rig.last_run()
         return of("pictures alone refused: ENOSPC, EROFS, EIO by turns", times, rig, recovery)
@@ -245,7 +256,11 @@ def recorded_again(rig):
         page = rig.page()
         return page and page["written_monotonic_s"] > began and page["health"]["journal"] == "ok"
 
-    rig.wait_for(home, 60, 0.02)
+    try:
+        rig.wait_for(home, 60, 0.02)
+    except AssertionError as error:
+        room = shutil.disk_usage(rig.state).free if rig.state.exists() else None
+        raise AssertionError(f"not at home: {rig.page()['health']['journal']}; {room} bytes free there") from error
     rig.wait_for(lambda: rig.witness.first_acknowledged_after(time.monotonic() - 0.3), 60)
     return time.monotonic() - began
 

@@ -87,6 +87,13 @@ class VolatileDisk:
     def unmount(self):
         run("umount", self.place)
 
+    def repaired(self):
+        """Taken out while nobody uses it, looked over, and put in again as another device."""
+        run("losetup", "-d", self.device)
+        self.device = run("losetup", "--show", "-f", self._fuse / NAME.decode()).strip()
+        subprocess.run(["fsck.ext4", "-y", self.device], check=False, capture_output=True)
+        self.mount()
+
     def replace(self, image):
         """The power comes back, and this is what the disk holds; whoever used it must have ended."""
         self.unmount()
