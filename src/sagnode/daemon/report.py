@@ -125,7 +125,8 @@ def _journal(path: Path) -> dict[str, Any]:
 
 def _problems(page: dict[str, Any], *, running: bool, known: bool, state_dir: Path) -> Iterator[str]:
     if not known:
-        yield f"no daemon has run with {state_dir}" if not running else "the daemon has not shown itself yet"
+        nobody = f"no daemon has run with {state_dir}; --config or --state-dir names another"
+        yield "the daemon has not shown itself yet" if running else nobody
         return
     health = page["health"]
     if not running:

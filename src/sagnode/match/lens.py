@@ -103,7 +103,7 @@ def lens_state(reference: Cells | None, image: GreyImage) -> LensState:
     """What the lens looks like in this picture, against the reference picture of the same view and size."""
     now = cells(image)
     if now.bright < DARK_LEVEL:
-        text = f"dark: hardly a pixel exceeds grey level {now.bright:.0f} of 255; night, or something covers the lens"
+        text = f"hardly a pixel exceeds grey level {now.bright:.0f} of 255; night, or something covers the lens"
         return LensState(LensLook.DARK, 1.0, text)
     if reference is None or reference.level.shape != now.level.shape:
         return LensState(LensLook.UNKNOWN, 0.0, "no reference picture to compare with")
