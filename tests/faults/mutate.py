@@ -61,7 +61,9 @@ def rearranged(random, document):
         elif how == 2 and isinstance(holder, list):
             holder.insert(key, copy.deepcopy(random.choice(_places(document))[0]))
         elif how == 3 and isinstance(holder, dict):
-            holder[random.choice(("", "x", "__class__", "model_config", "\x00", key * 2))] = random.choice(_VALUES)
+            holder[random.choice(("", "x", "__class__", "model_config", "\x00", key * 2))] = copy.deepcopy(
+                random.choice(_VALUES)
+            )
         elif how == 4 and isinstance(holder[key], int | float):
             holder[key] = holder[key] * random.choice((-1, 0, 1e-9, 1e9, 1.0000001, 10**30))
         elif how == 5:

@@ -16,10 +16,10 @@ from table import Line
 from sagnode.errors import SagnodeError
 
 COUNTS = {
-    "node file": 10_000, "node file, key by key": 30_000, "span file": 15_000, "span file, key by key": 20_000,
-    "calibration file": 20_000, "calibration file, key by key": 15_000, "picture": 40_000, "picture's header": 40_000,
-    "worker's line": 40_000, "command": 40_000, "journal row": 15_000, "spool, count and memory files": 10_000,
-    "clicks and numbers on the command line": 5_000,
+    "node file": 5_000, "node file, key by key": 15_000, "span file": 7_000, "span file, key by key": 10_000,
+    "calibration file": 10_000, "calibration file, key by key": 8_000, "picture": 25_000, "picture's header": 25_000,
+    "worker's line": 20_000, "command": 20_000, "journal row": 6_000, "spool, count and memory files": 5_000,
+    "clicks and numbers on the command line": 3_000,
 }  # fmt: skip
 SLOW_S = 10.0
 """Of the processor's time."""
