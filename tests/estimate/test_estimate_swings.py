@@ -58,13 +58,15 @@ def test_a_likelihood_is_the_posterior_without_its_prior() -> None:
 @pytest.mark.parametrize("swings", [(3.5, 3.4), (3.5, 0.8), (14.0, 17.0), (-2.0, 4.0)])
 def test_probabilities_are_those_of_a_sum_over_winds_and_loads(swings: tuple[float, ...]) -> None:
     pairs = [(degrees(0.0, swing, 0.5), degrees(-2.0, swing - 1.0, 2.0)) for swing in swings]
-    assert uneven_probabilities(pairs, PRIOR_U) == pytest.approx(list(summed_probabilities(pairs)), rel=0.02)
+    assert uneven_probabilities([([even], [uneven]) for even, uneven in pairs], PRIOR_U) == pytest.approx(
+        list(summed_probabilities(pairs)), rel=0.02
+    )
 
 
 def test_swings_that_agree_speak_for_even_loads_and_swings_that_part_against() -> None:
     def probabilities(*swings: float) -> list[float]:
         return uneven_probabilities(
-            [(degrees(0.0, s, 0.1), degrees(-6.0, s, 1.3)) for s in swings],
+            [([degrees(0.0, s, 0.1)], [degrees(-6.0, s, 1.3)]) for s in swings],
             PRIOR_U,
         )
 
@@ -73,12 +75,12 @@ def test_swings_that_agree_speak_for_even_loads_and_swings_that_part_against() -
 
 
 def test_one_conductor_alone_has_its_own_odds_and_what_is_usual() -> None:
-    (probability,) = uneven_probabilities([(degrees(0.0, 1.0, 0.2), degrees(0.0, 1.0, 0.2))], PRIOR_U)
+    (probability,) = uneven_probabilities([([degrees(0.0, 1.0, 0.2)], [degrees(0.0, 1.0, 0.2)])], PRIOR_U)
     assert probability == pytest.approx(ICY_READINGS * ICED_THEN + (1 - ICY_READINGS) * WEIGHTED, rel=1e-6)
 
 
 def test_a_swing_is_expected_where_the_others_are() -> None:
-    mean, u = expected_swing([degrees(0.0, 3.0, 0.1), degrees(0.0, 3.4, 0.1)], PRIOR_U)
+    mean, u = expected_swing([[degrees(0.0, 3.0, 0.1)], [degrees(0.0, 3.4, 0.1)]], PRIOR_U)
     assert np.degrees(mean) == pytest.approx(3.2, abs=0.1)
     # their spread about the wind, halved by there being two of them, and this conductor's own
     spread = np.hypot(np.degrees(SPREAD[0]), SPREAD[1] * 3.2)
@@ -89,3 +91,13 @@ def test_without_others_nothing_is_expected_but_the_survey() -> None:
     mean, u = expected_swing([], PRIOR_U)
     assert mean == pytest.approx(0.0, abs=1e-9)
     assert u == pytest.approx(np.hypot(PRIOR_U, np.hypot(SPREAD[0], SPREAD[1] * PRIOR_U)), rel=0.02)
+
+
+def test_the_wider_of_two_loads_speaks_where_the_swings_ask_for_it() -> None:
+    light, heavy = degrees(-2.0, -4.0, 0.5), degrees(-5.0, -4.0, 2.0)
+    others = [([degrees(0.0, swing, 0.1)], [degrees(-3.0, swing, 0.5)]) for swing in (-9.6, -8.2)]
+    (alone, *_), (both, *_) = (
+        uneven_probabilities([([degrees(0.0, -4.0, 0.1)], uneven), *others], PRIOR_U)
+        for uneven in ([light], [light, heavy])
+    )
+    assert both > 2 * alone

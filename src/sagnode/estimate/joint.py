@@ -330,14 +330,14 @@ class Unevenness:
     swing: tuple[float, float]
 
 
-def unevenness(solution: Solution, survey: Survey, load_us: Sequence[float]) -> Unevenness:
+def unevenness(solution: Solution, survey: Survey, load_us: Sequence[float]) -> list[Unevenness]:
     """One Gauss-Newton step in the terms of an uneven load, all other unknowns following, without solving anew.
 
     Args:
         solution: under an even load.
         survey: of it.
-        load_us: standard uncertainties of the terms that are tried; the one with the best odds comes back. A prior much
-            wider than the load would count against it.
+        load_us: standard uncertainties of the terms that are tried, one answer each. A prior much wider than the load
+            counts against it.
     """
     free = survey.unknowns()
     white, correlated = solution.noise
@@ -360,7 +360,7 @@ def unevenness(solution: Solution, survey: Survey, load_us: Sequence[float]) -> 
         swing_u = float(np.sqrt(left[SWING, SWING] + turn @ np.linalg.solve(information, turn)))
         swing = float(solution.theta[SWING] - turn @ terms)
         explanations.append(Unevenness(misfit, 0.5 * (misfit - float(gained)), (swing, swing_u)))
-    return max(explanations, key=lambda each: each.log_odds)
+    return explanations
 
 
 def log_odds(rich: Solution, rich_survey: Survey, simple: Solution, simple_survey: Survey) -> float:

@@ -27,7 +27,7 @@ from sagnode.survey import LOAD, SAG, SWING, Survey
 LOAD_U = 0.3
 """Standard uncertainty of each term of an uneven load, where the picture asks for one: ice on half of the span with
 half of the conductor's own weight is a first term of 0.3."""
-LIGHT_LOADS_U = (0.1, LOAD_U)
+LOADS_U = (0.1, LOAD_U)
 """The same for a light load and a heavy one: with these an even curve's residuals are asked whether there is one."""
 LET_IN = 0.03
 """Probability from which an uneven load is let in: where the picture makes it more likely than it is on any day."""
@@ -51,32 +51,32 @@ class Doubt:
         conductor: which.
         survey: what is known of it, under an even load.
         even: the match; None where no even curve was found.
-        strain: what its residuals say about an uneven load; None where it lies on no wire.
+        strains: what its residuals say about a light and a heavy uneven load; empty where it lies on no wire.
     """
 
     conductor: SiteConductor
     survey: Survey
     even: Matched | None
-    strain: Unevenness | None
+    strains: list[Unevenness]
 
     @property
     def swing_u(self) -> float:
         """Standard uncertainty of the surveyed swing, rad."""
         return self.survey.swing_u
 
-    def as_even(self) -> Explanation | None:
+    def as_even(self) -> list[Explanation]:
         """The even load as an explanation of the picture."""
-        if self.even is None or self.strain is None:
-            return None
-        return explanation(0.0, *self.even.swing, self.swing_u)
+        if self.even is None or not self.strains:
+            return []
+        return [explanation(0.0, *self.even.swing, self.swing_u)]
 
-    def as_uneven(self) -> Explanation | None:
-        """An uneven load, by what the even one leaves over."""
-        return None if self.strain is None else explanation(self.strain.log_odds, *self.strain.swing, self.swing_u)
+    def as_uneven(self) -> list[Explanation]:
+        """Uneven loads, by what the even one leaves over."""
+        return [explanation(each.log_odds, *each.swing, self.swing_u) for each in self.strains]
 
     def is_strained(self) -> bool:
         """Whether an uneven load would take so much off the misfit that the even one is not believed."""
-        return self.strain is not None and self.strain.misfit > DOUBTFUL
+        return any(each.misfit > DOUBTFUL for each in self.strains)
 
     def hardly_seen(self) -> bool:
         """Whether so little lies on the even curve that the wire may be elsewhere."""
@@ -87,8 +87,8 @@ def doubt(conductor: SiteConductor, registered: Registered, even: Matched | None
     """What one conductor's even match says against itself."""
     survey = survey_of(conductor, registered)
     # a curve on nothing has nothing to say, neither about the load nor about the wind
-    strain = unevenness(even.solution, survey, LIGHT_LOADS_U) if even is not None and is_wire(even) else None
-    return Doubt(conductor, survey, even, strain)
+    strains = unevenness(even.solution, survey, LOADS_U) if even is not None and is_wire(even) else []
+    return Doubt(conductor, survey, even, strains)
 
 
 def settle_loads(
@@ -112,20 +112,20 @@ def settle_loads(
     believed = [pair[1] if other else pair[0] for pair, other in zip(explained, uneven, strict=True)]
     settled: list[Matched | None] = []
     for k, (each, found) in enumerate(zip(doubts, followed, strict=True)):
-        if not uneven[k] and each.strain is not None:
+        if not uneven[k] and each.strains:
             settled.append(each.even)
             continue
-        others = [other for other in (*believed[:k], *believed[k + 1 :]) if other is not None]
+        others = [other for other in (*believed[:k], *believed[k + 1 :]) if other]
         settled.append(_refined(image, registered, each, found, expected_swing(others, each.swing_u)))
     return settled
 
 
-def _probable(explained: list[tuple[Explanation | None, Explanation | None]], doubts: list[Doubt]) -> list[float]:
+def _probable(explained: list[tuple[list[Explanation], list[Explanation]]], doubts: list[Doubt]) -> list[float]:
     """Probability of an uneven load of each conductor.
 
     It is 0 where no even curve lies on a wire, which says nothing, and 1 where the even one is not to be believed.
     """
-    seen = [k for k, (even, _) in enumerate(explained) if even is not None]
+    seen = [k for k, (even, _) in enumerate(explained) if even]
     result = [0.0] * len(explained)
     if seen:
         probable = uneven_probabilities([explained[k] for k in seen], max(each.swing_u for each in doubts))
@@ -165,20 +165,16 @@ def _grown(
     return refine(image, conductor, survey, registered, start, [], FOLLOWING * STAGES[:1] + STAGES[1:])
 
 
-def _as_uneven(registered: Registered, each: Doubt, found: Matched | None) -> Explanation | None:
-    """The uneven load as an explanation: of what was seen following it, or of the even curve's own residuals."""
-    by_residuals = each.as_uneven()
-    if found is None:
-        return by_residuals
-    if each.even is None or each.strain is None:
-        return explanation(0.0, *found.swing, each.swing_u)
+def _as_uneven(registered: Registered, each: Doubt, found: Matched | None) -> list[Explanation]:
+    """Uneven loads as explanations: by the even curve's own residuals, and by what was seen following the wire."""
+    if found is None or not found.solution.converged:
+        return each.as_uneven()
+    if each.even is None or not each.strains:
+        return [explanation(0.0, *found.swing, each.swing_u)]
     # both explanations of the same offsets; an even load that sees little of the wire must not choose what to explain
     simple = solve(each.survey, each.even.solution.theta, registered.camera, found.offsets, STAGES[-1].iterations)
     odds = log_odds(found.solution, found.survey, simple, each.survey)
-    by_following = explanation(odds, *found.swing, each.swing_u)
-    if by_residuals is None or (found.solution.converged and odds > by_residuals.log_evidence):
-        return by_following
-    return by_residuals
+    return [*each.as_uneven(), explanation(odds, *found.swing, each.swing_u)]
 
 
 def _refined(

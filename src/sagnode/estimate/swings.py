@@ -49,12 +49,13 @@ def explanation(log_evidence: float, swing: float, swing_u: float, prior_u: floa
 
 
 def uneven_probabilities(
-    explanations: Sequence[tuple[Explanation | None, Explanation | None]], prior_u: float
+    explanations: Sequence[tuple[Sequence[Explanation], Sequence[Explanation]]], prior_u: float
 ) -> list[float]:
     """Probability of an uneven load of every conductor, from their even and uneven explanations.
 
     Args:
-        explanations: even and uneven one of each conductor; None where there is none.
+        explanations: even and uneven ones of each conductor, which are equally likely beforehand; none where there
+            are none.
         prior_u: standard uncertainty of the common swing before looking, rad.
     """
     common = prior_u * GRID
@@ -72,8 +73,8 @@ def uneven_probabilities(
     return [float(np.exp(row - greatest).sum() / whole) for row in of_uneven]
 
 
-def expected_swing(others: Sequence[Explanation], prior_u: float) -> tuple[float, float]:
-    """Swing of a conductor, and its standard uncertainty, as the others let it be expected, rad."""
+def expected_swing(others: Sequence[Sequence[Explanation]], prior_u: float) -> tuple[float, float]:
+    """Swing of a conductor, and its standard uncertainty, as the explanations of the others let it be expected, rad."""
     common = prior_u * GRID
     weight = -0.5 * GRID**2 + sum((_log_likelihood(other, common, prior_u) for other in others), np.zeros(len(GRID)))
     weight = np.exp(weight - weight.max())
@@ -86,13 +87,14 @@ def _spread(common: FloatArray) -> FloatArray:
     return np.asarray(np.hypot(SPREAD[0], SPREAD[1] * common))
 
 
-def _log_likelihood(explained: Explanation | None, common: FloatArray, prior_u: float) -> FloatArray:
-    """Logarithm of the evidence (N,) of an explanation where the swings are spread about each of some common ones."""
-    if explained is None:
-        return np.full(len(common), -1e9)
-    spread = _log_normal(explained.swing - common, explained.variance + _spread(common) ** 2)
-    alone = _log_normal(np.asarray(explained.swing), explained.variance + prior_u**2)
-    return np.asarray(explained.log_evidence + spread - alone)
+def _log_likelihood(explained: Sequence[Explanation], common: FloatArray, prior_u: float) -> FloatArray:
+    """Logarithm of the mean evidence (N,) of explanations, the swings being spread about each of some common ones."""
+    result = np.full(len(common), -1e9)
+    for each in explained:
+        spread = _log_normal(each.swing - common, each.variance + _spread(common) ** 2)
+        alone = _log_normal(np.asarray(each.swing), each.variance + prior_u**2)
+        result = np.logaddexp(result, each.log_evidence + spread - alone - np.log(len(explained)))
+    return result
 
 
 def _log_normal(difference: FloatArray, variance: FloatArray | float) -> FloatArray:
