@@ -33,9 +33,10 @@ class Stage:
 
 STAGES = (Stage(8.0, 8.0, 2, 6, 5), Stage(5.0, 8.0, 4, 1, 6), Stage(3.0, 20.0, 8, 1, 12))
 """From the first refinement to the last, which knows the curve to a pixel and follows the wire where it is faint."""
-FOLLOWED_EXTENT, FOLLOWED_SHARE, FOLLOWED_PX = 0.6, 0.97, 0.5
-"""A wire has been followed where its blocks reach over this share of the visible span, and this share of them lies off
-the solved curve by less than so many px."""
+FOLLOWED_EXTENT, FOLLOWED_BLOCKS = 0.6, 0.75
+"""A wire has been followed where its blocks reach over this share of the visible span, are this share of all blocks,"""
+EXPLAINED_SHARE, EXPLAINED_PX = 0.97, 0.5
+"""and this share of them lies off the solved curve by less than so many px."""
 SCORE_MIN = 8.0
 """Robust z-score over the shifted curves below which a wire is not proven."""
 SUPPORT_MIN = 0.30
@@ -145,9 +146,9 @@ def remaining_stages(found: Matched) -> tuple[Stage, ...]:
     A part of the curve that showed no wire yet may lie several pixels off it, and is approached step by step.
     """
     extent = np.ptp(found.offsets.t) / max(np.ptp(found.track.t), 1e-9)
-    explained = np.mean(np.abs(found.solution.residual) < FOLLOWED_PX)
-    followed = found.solution.converged and extent > FOLLOWED_EXTENT and explained > FOLLOWED_SHARE
-    return STAGES[-1:] if followed else STAGES[1:]
+    followed = extent > FOLLOWED_EXTENT and np.mean(found.observed.usable) > FOLLOWED_BLOCKS
+    explained = np.mean(np.abs(found.solution.residual) < EXPLAINED_PX) > EXPLAINED_SHARE
+    return STAGES[-1:] if found.solution.converged and followed and explained else STAGES[1:]
 
 
 def _mixed_response(image: GreyImage, track: Track) -> float:
