@@ -48,7 +48,8 @@ files are damaged in the rows above. A state directory on a separate disk that i
 like a new node: let systemd wait for the mount (`RequiresMountsFor=`). The month of backlog is a month of readings,
 not of time. Mutilated pictures are judged by whether they are refused or read, not by what is read.
 
-Where it was run: Python {python}, {machine}, {cores} processors, {when}.
+Where it was run: Python {python}, {machine}, {cores} processors with a load of {load:.0f} (times grow with what else a
+machine does), {when}.
 """
 
 
@@ -81,6 +82,7 @@ def conclude(names, results, args):
             waits=shortened(),
             python=platform.python_version(),
             machine=platform.machine(),
+            load=os.getloadavg()[2],
             cores=len(os.sched_getaffinity(0)),
             when=datetime.now(UTC).date().isoformat(),
         )
