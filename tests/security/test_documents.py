@@ -29,6 +29,14 @@ def test_every_cause_of_a_reading_is_explained_to_technicians():
     assert sorted(set(explained) & {str(cause) for cause in Cause}) == sorted(str(cause) for cause in Cause)
 
 
+def test_every_line_of_status_is_explained():
+    table = OPERATIONS.partition("## Reading `sagnode status`")[2].partition("\n## ")[0]
+    explained = set(re.findall(r"`(\w+)`", "\n".join(re.findall(r"^\| (`.+?) \|", table, re.MULTILINE))))
+    shown = re.findall(r'yield "(\w+)",', (ROOT / "src" / "sagnode" / "cli" / "status.py").read_text())
+    assert len(shown) > 10
+    assert explained == set(shown)
+
+
 def test_every_exit_code_is_explained():
     from sagnode.cli import main
     from sagnode.daemon import node
