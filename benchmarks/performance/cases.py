@@ -154,11 +154,13 @@ def test_worker_cycle(benchmark, view, frames):
     picture = shot(view, PLAN.folder)
     loaded = write_node(picture, PLAN.folder / f"node-{view}-{frames}", frames)
     _, measure = bound("sagnode.worker.child", "_measure")
+    _, make_task = bound("sagnode.worker.child", "_Task")
     source = open_source(loaded.node.camera)
     source.open()
+    task = make_task(loaded, picture.site, source, album=None)
 
     def cycle():
-        return measure(MeasureRequest(id=1), loaded, picture.site, source).model_dump_json()
+        return measure(MeasureRequest(id=1), task)[0].model_dump_json()
 
     try:
         reply = timed(benchmark, cycle, rounds=PLAN.slow_rounds, case="worker cycle", view=view, frames=frames)
