@@ -3,14 +3,15 @@ PYTHON ?= python3
 export PYTHON
 BIN = .venv/bin
 
-.PHONY: help demo test lint format bench faults deb test-platform clean
+.PHONY: help demo test lint format bench accuracy faults deb test-platform clean
 
 help:
 	@echo "make demo    a simulated day of one span: the real daemon, a broker, a plot (under out/)"
 	@echo "make test    linters, types and tests, as continuous integration runs them"
 	@echo "make lint    linters and types alone"
 	@echo "make format  put the source into its standard form"
-	@echo "make bench   benchmarks: errors, coverage, speed, memory, idle cost"
+	@echo "make bench   speed, memory, idle cost, and the errors of the code that is timed (ten minutes; docs/performance.md)"
+	@echo "make accuracy   errors and coverage over many drawn worlds (an hour; docs/accuracy.md, docs/monte-carlo.md)"
 	@echo "make faults  thousands of faults, and what became of the readings (half an hour; ONLY=kill,disk for parts)"
 	@echo "make test-platform   whole machines, an hour: packages, booted systems, cameras, aarch64 (docs/platform.md)"
 	@echo "make deb     Debian packages for Bookworm and Trixie, arm64 and amd64 (under build/)"
@@ -35,9 +36,13 @@ format:
 
 bench:
 	@scripts/setup dev
+	@$(BIN)/python benchmarks/run.py --worlds 2 --no-paper
+	@$(BIN)/python benchmarks/performance/run.py
+
+accuracy:
+	@scripts/setup dev
 	@$(BIN)/python benchmarks/run.py
 	@$(BIN)/python benchmarks/montecarlo.py
-	@$(BIN)/python benchmarks/performance/run.py
 
 faults:
 	@scripts/setup dev
