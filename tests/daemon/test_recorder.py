@@ -180,6 +180,28 @@ def test_a_disk_without_room_for_what_is_in_memory_waits_and_gets_it_whole(tmp_p
         assert log_file.stat().st_size < in_memory  # carried in pieces: twice the room is not needed
 
 
+def test_a_disk_with_another_number_is_known_by_its_count_and_an_empty_one_is_not(tmp_path, small_disk):
+    state, runtime = small_disk / "state", tmp_path / "run"
+    runtime.mkdir()
+    stores = Stores(state, runtime)
+    with stores.opened() as store:
+        store.journal.append([reading(1)], owed=True)
+        assert stores.better(refused_s=61)
+    shutil.copytree(state, tmp_path / "kept")
+    with stores.opened() as store:
+        assert store.volatile
+        subprocess.run(["mount", "-t", "tmpfs", "-o", "size=4m", "none", small_disk], check=True)
+        try:
+            stores._looked_at = float("-inf")
+            assert not stores.better(0)  # empty: counting would begin anew on it
+            shutil.rmtree(state)
+            shutil.copytree(tmp_path / "kept", state)
+            stores._looked_at = float("-inf")
+            assert stores.better(0)
+        finally:
+            subprocess.run(["umount", "-l", small_disk], check=True)
+
+
 def test_a_second_homecoming_brings_what_was_delivered_meanwhile(tmp_path):
     for place in ("away", "home"):
         (tmp_path / place).mkdir()

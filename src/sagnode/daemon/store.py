@@ -62,6 +62,8 @@ class Stores:
         self._open: Store | None = None
         self._looked_at = float("-inf")
         self._device: int | None = None
+        self._counted = 1
+        """The state directory's own disk has counted at least so far."""
 
     @contextlib.contextmanager
     def opened(self) -> Iterator[Store]:
@@ -107,6 +109,7 @@ class Stores:
                 attempt.enter_context(alone(self.state_dir))
                 self._expect_the_same_disk()
                 journal = Journal(self.state_dir / JOURNAL, self._boot_id)
+                self._counted = max(1, Ceiling(self.state_dir / "sequence").value)
                 try:
                     self._carry_over(journal)
                 except DiskError:
@@ -120,9 +123,9 @@ class Stores:
             return self._in_memory(stack, self._volatile_dir, str(error))
 
     def _expect_the_same_disk(self) -> None:
-        """An empty mount point must not pass for the disk that was mounted there."""
+        """An empty mount point must not pass for the disk that was there; one put in again may bear another number."""
         device = self.state_dir.stat().st_dev
-        if self._device not in {None, device}:
+        if self._device not in {None, device} and Ceiling(self.state_dir / "sequence").value < self._counted:
             raise DiskError(f"{self.state_dir}: another disk is mounted there now", "mount the node's own again")
         self._device = device
 
