@@ -17,11 +17,15 @@ only cost time. The stand-in's numbers carry a checksum, so that a number that c
 
 - **made**: readings that the journal numbered. **delivered**: acknowledged by the broker and, unless the broker itself
   was killed, received by a subscriber. **lost**: made and never delivered, or a number that is missing in the journal.
+  Where the journal's file is damaged on purpose, readings whose own bytes were destroyed are no longer there to be
+  delivered: the remarks of those rows count them, and every other one must be found again.
 - **repeated**: received more than once; each can be dropped by its `sequence`. Allowed only where a PUBACK was lost or
   had not been written down when the process was killed, and where a command asked for it.
 - **false**: a published number that differs from the measured one, or any number in an invalid reading.
 - **recovery**: from the fault, or from the moment when the outside world is well again, to the next good reading
   (worker, clock) or the next acknowledgement (broker).
+
+Sections can be run again one by one (`make faults ONLY=disk`); the tables hold the last run of each.
 """
 
 NOTES = """
@@ -48,8 +52,8 @@ files are damaged in the rows above. A state directory on a separate disk that i
 like a new node: let systemd wait for the mount (`RequiresMountsFor=`). The month of backlog is a month of readings,
 not of time. Mutilated pictures are judged by whether they are refused or read, not by what is read.
 
-Where it was run: Python {python}, {machine}, {cores} processors with a load of {load:.0f} (times grow with what else a
-machine does), {when}.
+Where it was run: Python {python}, {machine}, {cores} processors with a load of {load:.0f} (times grow with what else
+a machine does), {when}.
 """
 
 
@@ -98,8 +102,8 @@ def summary(lines):
     total = {name: sum(getattr(line, name) for line in lines) for name in ("made", "lost", "repeated", "false")}
     kills = sum(line.times for line in lines if line.section == "kill")
     return (
-        f"**{sum(line.times for line in faults)} faults**, of them {kills} `kill -9` at random moments;"
-        f" {total['made']} readings made, **{total['lost']} lost**, **{total['false']} false**, {total['repeated']}"
-        f" repeated. {sum(line.times for line in inputs)} mutilated inputs,"
+        f"**{sum(line.times for line in faults)} faults**, of them {kills} `kill -9` at random moments;\n"
+        f"{total['made']} readings made, **{total['lost']} lost**, **{total['false']} false**, {total['repeated']}"
+        f" repeated.\n{sum(line.times for line in inputs)} mutilated inputs,"
         f" **{sum(line.uncaught for line in inputs)} uncaught exceptions**."
     )

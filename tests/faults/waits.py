@@ -15,7 +15,7 @@ CONSTANTS = {
 }
 FIELDS = (
     ("schedule.interval_s", Schedule, "interval_s", "0.1 to 0.2 s (1 s: backlog); or as fast as it can", "all"),
-    ("schedule.deadline_s", Schedule, "deadline_s", "5 s; 0.2 s and 0.4 s where the worker hangs", "all"),
+    ("schedule.deadline_s", Schedule, "deadline_s", "5 s; camera 20 s; 0.2 and 0.4 s where the worker hangs", "all"),
     ("worker.backoff_max_s", WorkerTable, "backoff_max_s", "0.2 s", "all"),
     ("mqtt.backlog_per_s", Mqtt, "backlog_per_s", "2000", "all"),
     ("mqtt.inflight", Mqtt, "inflight", "20", "all"),
