@@ -101,15 +101,13 @@ def lanes() -> tuple[Lane, ...]:
             )
             for suite in ("bookworm", "trixie")
         ),
-        *(
-            Lane(
-                f"booted-{suite}-arm64",
-                f"{suite.title()} booted, Cortex-A76 emulated: the package's service comes up, measures, is stopped",
-                _bare(suite, "boot-package", arch="arm64"),
-                emulated,
-                arm,
-            )
-            for suite in ("bookworm", "trixie")
+        # Not Trixie: its systemd 257 starts nothing under QEMU 7.2's emulation of single programs.
+        Lane(
+            "booted-bookworm-arm64",
+            "Bookworm booted, Cortex-A76 emulated: the package's service comes up, measures, is stopped",
+            _bare("bookworm", "boot-package", arch="arm64"),
+            emulated,
+            arm,
         ),
         Lane(
             "picamera2", "the real Picamera2 over libcamera's virtual cameras", _bare("trixie", "picamera2"), container
