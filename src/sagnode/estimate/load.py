@@ -36,7 +36,9 @@ SUSPECT_SUPPORT, SUSPECT_SHARE = 0.6, 0.35
 SURELY = 0.5
 """Probability of one conductor's uneven load from which no other is taken for even: ice does not fall on one alone."""
 DOUBTFUL = 9.0
-"""Misfit that an uneven load would take off, from which an even one is not believed."""
+"""Misfit that a light uneven load would take off, from which an even one is not believed; bare wires rarely reach 5."""
+ONE_STEP = 50.0
+"""The same, beyond which one linear step from an even curve says nothing about the uneven one."""
 FOLLOWING = 4
 """Rounds of the first refinement in which an uneven curve grows along the wire."""
 TILTS = (-0.6, -0.3, 0.3, 0.6)
@@ -71,12 +73,13 @@ class Doubt:
         return [explanation(0.0, *self.even.swing, self.swing_u)]
 
     def as_uneven(self) -> list[Explanation]:
-        """Uneven loads, by what the even one leaves over."""
-        return [explanation(each.log_odds, *each.swing, self.swing_u) for each in self.strains]
+        """Uneven loads, by what the even one leaves over, as far as one step reaches."""
+        near = [each for each in self.strains if each.misfit < ONE_STEP]
+        return [explanation(each.log_odds, *each.swing, self.swing_u) for each in near]
 
     def is_strained(self) -> bool:
-        """Whether an uneven load would take so much off the misfit that the even one is not believed."""
-        return any(each.misfit > DOUBTFUL for each in self.strains)
+        """Whether a light uneven load would take so much off the misfit that the even one is not believed."""
+        return any(each.misfit > DOUBTFUL for each in self.strains[:1])
 
     def hardly_seen(self) -> bool:
         """Whether so little lies on the even curve that the wire may be elsewhere."""
@@ -174,7 +177,8 @@ def _as_uneven(registered: Registered, each: Doubt, found: Matched | None) -> li
     # both explanations of the same offsets; an even load that sees little of the wire must not choose what to explain
     simple = solve(each.survey, each.even.solution.theta, registered.camera, found.offsets, STAGES[-1].iterations)
     odds = log_odds(found.solution, found.survey, simple, each.survey)
-    return [*each.as_uneven(), explanation(odds, *found.swing, each.swing_u)]
+    by_following = explanation(odds, *found.swing, each.swing_u)
+    return [by_following] if odds > 0 else [*each.as_uneven(), by_following]
 
 
 def _refined(
