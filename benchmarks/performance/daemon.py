@@ -19,7 +19,7 @@ from sagnode.worker.process import CommandLine
 STAND_IN = Path(__file__).with_name("stand_in.py")
 
 
-def command_line(_config: Path) -> CommandLine:
+def command_line(_config: Path, _album: Path | None = None) -> CommandLine:
     """In the place of the real worker's."""
 
     def build(requests_fd: int, replies_fd: int, resume_after: datetime | None) -> Sequence[str]:
