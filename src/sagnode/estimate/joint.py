@@ -347,10 +347,13 @@ def unevenness(solution: Solution, survey: Survey, load_us: Sequence[float]) -> 
     known = np.diag(1 / survey.prior_sigma()[free] ** 2)
     known[CAMERA, CAMERA] += solution.camera.precision
     left = np.linalg.inv(others.T @ of_others + known)
-    # what the other unknowns can follow is no evidence; at the solution nothing pulls at them
+    # what the other unknowns can follow is no evidence, and they follow far: what little still pulls at them counts
     follow = left @ (others.T @ of_own)
+    target = survey.prior_mean() / survey.prior_sigma() ** 2
+    target[CAMERA] += solution.camera.vector
+    rest = others.T @ of_residual[:, 0] + target[free] - known @ solution.theta[free]
     seen = own.T @ of_own - (others.T @ of_own).T @ follow
-    pull, turn = own.T @ of_residual[:, 0], follow[SWING]
+    pull, turn = own.T @ of_residual[:, 0] - follow.T @ rest, follow[SWING]
     explanations = []
     for u in load_us:
         information = seen + np.eye(len(seen)) / u**2
@@ -358,7 +361,7 @@ def unevenness(solution: Solution, survey: Survey, load_us: Sequence[float]) -> 
         misfit = float(pull @ terms)
         _, gained = np.linalg.slogdet(information * u**2)
         swing_u = float(np.sqrt(left[SWING, SWING] + turn @ np.linalg.solve(information, turn)))
-        swing = float(solution.theta[SWING] - turn @ terms)
+        swing = float(solution.theta[SWING] + left[SWING] @ rest - turn @ terms)
         explanations.append(Unevenness(misfit, 0.5 * (misfit - float(gained)), (swing, swing_u)))
     return explanations
 
