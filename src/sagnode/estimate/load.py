@@ -30,7 +30,8 @@ half of the conductor's own weight is a first term of 0.3."""
 LOADS_U = (0.1, LOAD_U)
 """The same for a light load and a heavy one: with these an even curve's residuals are asked whether there is one."""
 LET_IN = 0.02
-"""Probability from which an uneven load is let in; before looking it is 0.03, and what shows nothing of it leaves 0.01."""
+"""Probability from which an uneven load is let in: before looking it is 0.03, and a picture without a sign of it leaves
+less than 0.01."""
 SUSPECT_SUPPORT, SUSPECT_SHARE = 0.6, 0.35
 """Where less of an even curve, or of the span, shows a wire, it is tried: what is beside the curve cannot ask."""
 SURELY = 0.5
