@@ -4,10 +4,16 @@ from dataclasses import replace
 from pathlib import Path
 
 import cv2
+import numpy as np
 import pytest
 
 from sagnode.calibrate.files import save_intrinsics
 from sagnode.config.load import load_span
+from sagnode.estimate.even import find_even
+from sagnode.estimate.joint import curve_residual, unevenness
+from sagnode.estimate.load import LOADS_U
+from sagnode.estimate.matched import survey_of
+from sagnode.estimate.register import register
 from sagnode.measurement import ConductorMeasurement
 from sagnode.pipeline import load_site, measure_burst
 from sagnode.quality import Cause, Validity
@@ -95,3 +101,27 @@ def test_even_wires_on_a_span_seen_along_the_line_are_not_suspected() -> None:
         assert reading.validity is not Validity.INVALID, reading.reasons
         assert Cause.ICE_SUSPECT not in [r.cause for r in reading.reasons]
         assert abs(reading.estimates["sag"].value - true[reading.conductor]) < 3 * reading.estimates["sag"].u
+
+
+def test_what_an_even_wire_leaves_over_does_not_hang_on_the_last_bit_of_settling() -> None:
+    """A load's terms lean on sag, swing and attachments: a hundredth of an uncertainty there must not look like ice."""
+    scene = demo_site().scene
+    wires = {c.id: WireState(0.5 * (c.sag_min_m + c.sag_max_m), 3.0) for c in scene.surveyed.conductors}
+    image = render(scene, Moment(wires, seed=8)).image
+    site = load_site(load_span(site_directory() / "span.toml").span)
+    registered, _ = register(site, image)
+    assert registered is not None
+    conductor = next(c for c in site.conductors if c.measured)
+    survey = survey_of(conductor, registered)
+    found = find_even(image, conductor, survey, registered)
+    assert found is not None
+    settled = unevenness(found.solution, survey, LOADS_U)
+    rng = np.random.default_rng(4)
+    deviation = np.sqrt(np.diag(found.solution.covariance))
+    for _ in range(5):
+        theta = found.solution.theta + 0.02 * deviation * rng.standard_normal(len(deviation))
+        residual = curve_residual(survey, theta, found.offsets)
+        moved = unevenness(replace(found.solution, theta=theta, residual=residual), survey, LOADS_U)
+        for before, after in zip(settled, moved, strict=True):
+            assert after.log_odds == pytest.approx(before.log_odds, abs=0.1)
+            assert after.swing[0] == pytest.approx(before.swing[0], abs=0.05 * before.swing[1])
