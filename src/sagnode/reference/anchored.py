@@ -61,6 +61,9 @@ def draw_library(library: Iterable[Template], box: tuple[int, int, int, int]) ->
         extent = np.array(drawn.shape[::-1])
         if np.any(corner < -_REACH) or np.any(corner + extent > np.array(size[::-1]) + _REACH):
             continue
+        if not drawn.any():
+            # a stroke that runs along the edge of its box can miss every pixel
+            continue
         places = np.asarray(cv2.findNonZero(drawn)).reshape(-1, 2) + corner + _MARGIN
         pixels.append((places[:, 1] * stride + places[:, 0]).astype(np.int32))
         corners.append(corner)
