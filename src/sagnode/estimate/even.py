@@ -140,7 +140,7 @@ def _along_the_valley(image: GreyImage, found: Matched, conductor: SiteConductor
 
 
 def _a_spacing_aside(image: GreyImage, found: Matched, conductor: SiteConductor) -> list[FloatArray]:
-    """Starts θ (24,) at which the sub-conductors of a bundle would lie where others of it seem to be.
+    """Starts θ (28,) at which the sub-conductors of a bundle would lie where others of it seem to be.
 
     A pattern that lies a spacing off covers a part of the bundle and looks like half an answer; against the right one
     it must lose. Only those come back near which the picture shows about as much; none for a single wire.
