@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from readings import reading
 
 from sagnode.config.load import load_span
 from sagnode.message import Estimate, QualityMessage, Reading, estimate_fields
@@ -31,26 +32,13 @@ def one(conductor, minutes, sag, *, u=0.02, swing=0.0, reasons=(), **fields):
         "sag": Estimate(sag, u, sag - 2 * u, sag + 2 * u),
         "swing": Estimate(swing, 0.5, swing - 1, swing + 1),
     }
-    defaults = {
-        "utility": "u",
-        "line": "l",
-        "span": "s",
-        "unit": "n",
-        "conductor": conductor,
+    own = {
         "sequence": 1,
         "acquired_at": START + timedelta(minutes=minutes),
-        "clock_synced": True,
-        "boot_id": "b",
         "monotonic_s": 60.0 * minutes,
         "quality": QualityMessage.of(Validity.QUESTIONABLE if reasons else Validity.GOOD, tuple(reasons)),
-        "frames_used": 1,
-        "frames_rejected": 0,
-        "method": "test",
-        "calibration_id": "c",
-        "configuration_id": "c",
-        "software_version": "0",
     }
-    return Reading(**{**defaults, **estimate_fields(estimates), **fields})
+    return reading(**{**own, "conductor": conductor, **estimate_fields(estimates), **fields})
 
 
 def invalid(conductor, minutes):
