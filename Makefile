@@ -13,7 +13,7 @@ help:
 	@echo "make bench   speed, memory, idle cost, and the errors of the code that is timed (ten minutes; docs/performance.md)"
 	@echo "make accuracy   errors and coverage over many drawn worlds (an hour; docs/accuracy.md, docs/monte-carlo.md)"
 	@echo "make faults  thousands of faults, and what became of the readings (half an hour; ONLY=kill,disk for parts)"
-	@echo "make test-platform   whole machines, an hour: packages, booted systems, cameras, aarch64 (docs/platform.md)"
+	@echo "make test-platform   whole machines, an hour: packages, booted systems, cameras, aarch64 (docs/platform.md; JOBS=2)"
 	@echo "make deb     Debian packages for Bookworm and Trixie, arm64 and amd64 (under build/)"
 	@echo "make clean   remove the environment and everything that was generated"
 

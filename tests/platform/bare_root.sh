@@ -17,8 +17,6 @@
 #              is restarted when no reading comes
 #   boot-package   the same with the package, for ARCH=arm64: comes up by itself, measures, its worker killed, stopped
 set -euo pipefail
-HERE=$(cd "$(dirname "$0")/../.." && pwd)
-WORK=${WORK:-/var/tmp/sagnode-roots}
 suite=${1:-}
 case $suite in bookworm | trixie) ;; *)
 	sed -n '2,18s/^# \{0,1\}//p' "$0"
@@ -26,39 +24,7 @@ case $suite in bookworm | trixie) ;; *)
 	;;
 esac
 shift
-MACHINE=$(dpkg --print-architecture)
-ARCH=${ARCH:-$MACHINE}
-ROOT=$WORK/$suite
-if [ "$ARCH" != "$MACHINE" ]; then
-	ROOT=$ROOT-$ARCH
-	# The core of the Pi 5: the default one, with every extension, is some twenty times slower on Debian 13.
-	export QEMU_CPU=cortex-a76
-	[ -e /proc/sys/fs/binfmt_misc/status ] || mount -t binfmt_misc none /proc/sys/fs/binfmt_misc
-	[ -e /proc/sys/fs/binfmt_misc/qemu-aarch64 ] || update-binfmts --enable qemu-aarch64
-fi
-MIRROR=$(awk '/^URIs:/ {print $2; exit}' /etc/apt/sources.list.d/debian.sources 2>/dev/null || true)
-MIRROR=${MIRROR:-http://deb.debian.org/debian}
-
-make_root() {
-	rm -rf --one-file-system "$ROOT" "$ROOT-systemd" "$ROOT-camera"
-	mkdir -p "$WORK"
-	mmdebstrap --quiet --variant=minbase --architectures="$ARCH" --aptopt='Acquire::Languages "none"' --include=python3,git,make,ca-certificates \
-		--dpkgopt='path-exclude=/usr/share/doc/*' --dpkgopt='path-exclude=/usr/share/man/*' \
-		"$suite" "$ROOT" "deb $MIRROR $suite main" "deb $MIRROR-security $suite-security main"
-	# pip brings its own certificates; a site with its own authority has them in the system's bundle.
-	cp /etc/ssl/certs/ca-certificates.crt "$ROOT/etc/ssl/certs/"
-	# Every installed machine has this; a root that was unpacked has not.
-	printf '127.0.0.1 localhost\n::1 localhost\n' >"$ROOT/etc/hosts"
-	du -sm "$ROOT"
-}
-
-# in_root COMMAND: as root, or with AS=user as a user; the network is the machine's.
-in_root() {
-	systemd-nspawn --quiet --directory="${IN:-$ROOT}" --register=no --keep-unit --console=pipe --resolv-conf=copy-host \
-		--user="${AS:-root}" ${QEMU_CPU:+--setenv=QEMU_CPU="$QEMU_CPU"} --setenv=PIP_CERT=/etc/ssl/certs/ca-certificates.crt \
-		--setenv=SSL_CERT_FILE=/etc/ssl/certs/ca-certificates.crt ${PIP_INDEX_URL:+--setenv=PIP_INDEX_URL} \
-		bash -c "$1" </dev/null 2> >(grep -v 'Attempted to remove disk file system' >&2)
-}
+. "$(dirname "$0")/roots.sh"
 
 # A clone as a person has it: what is committed, and nothing else.
 clone() {
@@ -77,107 +43,60 @@ timed() {
 	printf '=== took %s s\n\n' "$(($(date +%s) - began))"
 }
 
-make_booted_root() {
-	[ -d "$ROOT-systemd" ] || {
-		cp -a --reflink=auto "$ROOT" "$ROOT-systemd"
-		IN=$ROOT-systemd in_root 'apt-get update -qq && DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends systemd systemd-sysv dbus procps >/dev/null'
-	}
-}
-
 boot() {
-	make_booted_root
+	need_booted_root
 	rm -rf --one-file-system "$ROOT-systemd/home/sagnode-clone"
 	git clone --quiet "$HERE" "$ROOT-systemd/home/sagnode-clone"
-	IN=$ROOT-systemd in_root 'bash /home/sagnode-clone/deploy/install.sh --uninstall --purge && bash /home/sagnode-clone/deploy/install.sh'
+	IN=$ROOT-systemd fetching in_root '! dpkg-query -W sagnode >/dev/null 2>&1 || apt-get purge -y -qq sagnode
+		bash /home/sagnode-clone/deploy/install.sh --uninstall --purge && bash /home/sagnode-clone/deploy/install.sh'
 	make_updates
-	boot_with booted.sh >/dev/null || true
-	cat "$ROOT-systemd/root/booted.log"
-	grep -q '^BOOTED FINE' "$ROOT-systemd/root/booted.log"
+	boot_with booted.sh || true
+	was_fine BOOTED
 	# systemd-nspawn ends with 133 when what runs in it asks for a restart.
 	local said=0
 	boot_with booted_reboot.sh ask || said=$?
 	[ "$said" = 133 ] || {
-		cat "$ROOT-systemd/root/booted.log"
 		echo "FAIL  the machine ended with $said instead of a restart"
 		return 1
 	}
 	boot_with booted_reboot.sh after || true
-	cat "$ROOT-systemd/root/booted.log"
-	grep -q '^REBOOT FINE' "$ROOT-systemd/root/booted.log"
+	was_fine REBOOT
 }
 
-# The package's service on another processor, with the demonstration's noon for a camera.
+# The package's service, with the demonstration's noon for a camera; then once more on a root that is read-only.
 boot_package() {
-	local package site
+	local package etc=$ROOT-systemd/etc interval="interval_s = 5\\ndeadline_s = 20"
 	package=$(find_package)
-	make_booted_root
+	need_booted_root
 	rm -rf --one-file-system "$ROOT-systemd/packages"
 	mkdir -p "$ROOT-systemd/packages"
 	cp "$package" "$ROOT-systemd/packages/sagnode.deb"
-	IN=$ROOT-systemd in_root 'export DEBIAN_FRONTEND=noninteractive
+	[ ! -x "$ROOT-systemd/opt/sagnode/current/install.sh" ] || IN=$ROOT-systemd in_root 'bash /opt/sagnode/current/install.sh --uninstall --purge'
+	IN=$ROOT-systemd fetching in_root 'export DEBIAN_FRONTEND=noninteractive
 		! dpkg-query -W sagnode >/dev/null 2>&1 || apt-get purge -y -qq sagnode
 		apt-get update -qq && apt-get install -y -qq --no-install-recommends /packages/sagnode.deb'
-	site=$ROOT-systemd/etc/sagnode
-	cp "$HERE"/src/sagnode/demo/site/{span.toml,camera.yaml,reference.jpg} "$site/"
-	mkdir -p "$site/frames" "$ROOT-systemd/etc/systemd/system.conf.d" "$ROOT-systemd/etc/systemd/system/sagnode.service.d"
-	cp "$HERE"/src/sagnode/demo/site/frames/20260621T1{1,2,3}*.jpg "$site/frames/"
-	# Without the broker, and with an emulator's patience.
-	sed '/^\[mqtt\]/,$d; s/^interval_s = .*/interval_s = 90\ndeadline_s = 85/' "$HERE/tests/platform/vm_node.toml" >"$site/node.toml"
-	chmod -R a+rX "$site"
-	printf '[Service]\nTimeoutStartSec=400\nWatchdogSec=400\nPrivateUsers=no\nPrivateIPC=no\n' \
-		>"$ROOT-systemd/etc/systemd/system/sagnode.service.d/emulated.conf"
-	printf '[Manager]\n%s\n' "${QEMU_CPU:+DefaultEnvironment=QEMU_CPU=$QEMU_CPU}" >"$ROOT-systemd/etc/systemd/system.conf.d/emulated.conf"
-	LIMIT_S=1500 boot_with booted_arm.sh || true
-	cat "$ROOT-systemd/root/booted.log"
-	grep -q '^BOOTED FINE' "$ROOT-systemd/root/booted.log"
-}
-
-# boot_with SCRIPT [WORD...]: the root booted; a script of this directory runs in it and ends it. Its words: booted.log.
-boot_with() {
-	cp "$HERE/tests/platform/$1" "$ROOT-systemd/root/"
-	rm -f "$ROOT-systemd/root/booted.log"
-	cat >"$ROOT-systemd/etc/systemd/system/look.service" <<-U
-		[Service]
-		Type=oneshot
-		ExecStart=/bin/sh -c 'bash /root/$* >/root/booted.log 2>&1; systemctl exit \$?'
-	U
-	SYSTEMD_NSPAWN_UNIFIED_HIERARCHY=1 timeout "${LIMIT_S:-900}" systemd-nspawn --quiet --directory="$ROOT-systemd" --boot \
-		--register=no ${QEMU_CPU:+--setenv=QEMU_CPU="$QEMU_CPU"} --keep-unit --private-network --console=pipe systemd.wants=look.service </dev/null >"$ROOT-systemd.log" 2>&1
-}
-
-# The package of this suite and machine.
-find_package() {
-	local number=13 package
-	[ "$suite" != bookworm ] || number=12
-	package=$(find "$HERE/build" -name "sagnode_*+deb${number}_$ARCH.deb" 2>/dev/null | head -n 1)
-	[ -f "$package" ] || {
-		echo "no package for $suite $ARCH in $HERE/build: make deb" >&2
-		return 1
-	}
-	printf '%s\n' "$package"
-}
-
-# changed_package FROM TO VERSION [FILE OF THE PROGRAM, SED WORDS]...: the same with another version and other contents.
-changed_package() {
-	local tree=$2.tree program
-	dpkg-deb -R "$1" "$tree"
-	sed -i "s/^Version: .*/Version: $3/" "$tree/DEBIAN/control"
-	program=$(echo "$tree"/usr/lib/sagnode/venv/lib/python3.*/site-packages/sagnode)
-	sed -i "s/^__version__ = .*/__version__ = \"${3%%+*}\"/" "$program/__init__.py"
-	local to=$2
-	shift 3
-	while [ $# -gt 0 ]; do
-		cp "$program/$1" "$program/$1.before"
-		sed -i -E "$2" "$program/$1"
-		! cmp -s "$program/$1" "$program/$1.before" || {
-			echo "$1 was not changed by: $2" >&2
-			return 1
-		}
-		rm "$program/$1.before"
-		shift 2
-	done
-	dpkg-deb --root-owner-group -Znone -b "$tree" "$to" >/dev/null
-	rm -rf --one-file-system "$tree"
+	rm -rf --one-file-system "$etc/systemd/system.conf.d" "$etc/systemd/system/sagnode.service.d"
+	mkdir -p "$etc/systemd/system.conf.d" "$etc/systemd/system/sagnode.service.d"
+	if [ -n "${QEMU_CPU:-}" ]; then
+		# The emulator of programs is no kernel: it has no user and IPC namespaces to give, and takes filters of system
+		# calls without applying them. It is slow, too.
+		interval='interval_s = 90\ndeadline_s = 85'
+		printf '[Service]\nTimeoutStartSec=400\nWatchdogSec=400\nPrivateUsers=no\nPrivateIPC=no\n' \
+			>"$etc/systemd/system/sagnode.service.d/emulated.conf"
+		printf '[Manager]\nDefaultEnvironment=QEMU_CPU=%s EMULATED=yes\n' "$QEMU_CPU" >"$etc/systemd/system.conf.d/emulated.conf"
+	else
+		printf '[Service]\nWatchdogSec=8\nRestartSec=1\n' >"$etc/systemd/system/sagnode.service.d/quick.conf"
+	fi
+	# Without the broker.
+	sed "/^\[mqtt\]/,\$d; s/^interval_s = .*/$interval/" "$HERE/tests/platform/vm_node.toml" | write_site "$etc/sagnode"
+	LIMIT_S=1500 boot_with booted_package.sh || true
+	was_fine BOOTED
+	[ -z "${QEMU_CPU:-}" ] || return 0
+	local state=$ROOT-systemd.state
+	rm -rf --one-file-system "$state"
+	cp -a "$ROOT-systemd/var/lib/sagnode" "$state"
+	NSPAWN="--read-only --bind=$state:/var/lib/sagnode" boot_with booted_readonly.sh || true
+	was_fine READONLY
 }
 
 # Releases to update to: one that runs, and three that must not stay.
@@ -202,8 +121,8 @@ run_deb() {
 	mkdir -p "$packages"
 	cp "$package" "$packages/sagnode.deb"
 	changed_package "$package" "$packages/newer.deb" 99.0
-	cp "$HERE/tests/platform/package.sh" "$packages/"
-	in_root 'bash /packages/package.sh' | tee "$packages/log"
+	cp "$HERE"/tests/platform/{package,looks}.sh "$packages/"
+	fetching in_root 'bash /packages/package.sh' | tee "$packages/log"
 	grep -q '^PACKAGE FINE' "$packages/log"
 }
 
@@ -212,20 +131,20 @@ run_picamera2() {
 		echo "libcamera in $suite is too old for the virtual camera"
 		return 1
 	}
-	[ -d "$ROOT-camera" ] || {
-		cp -a --reflink=auto "$ROOT" "$ROOT-camera"
-		# python-prctl and the like, which picamera2 wants, are built from source.
-		IN=$ROOT-camera in_root 'apt-get update -qq && DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends \
+	# python-prctl and the like, which picamera2 wants, are built from source.
+	copy_root camera 'apt-get update -qq
+		DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends \
 			python3-libcamera libcamera-ipa gcc libc6-dev python3-dev libcap-dev python3-numpy python3-venv >/dev/null
-			python3 -m venv --system-site-packages /opt/v
-			/opt/v/bin/pip install --quiet picamera2 "opencv-python-headless>=4.13,<5" pydantic PyYAML'
-	}
+		python3 -m venv --system-site-packages /opt/v
+		/opt/v/bin/pip install --quiet picamera2 "opencv-python-headless>=4.13,<5" pydantic PyYAML'
 	rm -rf --one-file-system "$ROOT-camera/home/sagnode-clone"
 	git clone --quiet "$HERE" "$ROOT-camera/home/sagnode-clone"
 	IN=$ROOT-camera in_root 'cd /home/sagnode-clone && PYTHONPATH=src LIBCAMERA_LOG_LEVELS="*:FATAL" timeout 120 \
 		/opt/v/bin/python tests/platform/picamera2_virtual.py'
 }
 
+lock_root
+[ "${1:-}" = root ] || need_root
 for step in "$@"; do
 	case $step in
 	root) timed 'bare root' make_root ;;

@@ -2,36 +2,11 @@
 # Runs inside a booted machine on which deploy/install.sh has installed sagnode (bare_root.sh ... boot): the service is
 # started, looked at, its worker and its daemon are killed and hung, and it is stopped. Prints BOOTED FINE at the end.
 set -euo pipefail
-ok() { printf 'ok    %s\n' "$*"; }
-fail() {
-	printf 'FAIL  %s\n' "$*"
-	systemctl status --no-pager --full sagnode || true
-	journalctl --no-pager -u sagnode -n 60 || true
-	exit 1
-}
-# until_true SECONDS WHAT COMMAND...
-until_true() {
-	local end=$((SECONDS + $1)) what=$2
-	shift 2
-	until "$@" >/dev/null 2>&1; do
-		[ $SECONDS -lt $end ] || fail "$what"
-		sleep 0.2
-	done
-	ok "$what"
-}
-main_pid() { systemctl show --value -p MainPID sagnode; }
-is_another() { [ "$(main_pid)" != "$1" ] && [ "$(main_pid)" != 0 ] && systemctl is-active --quiet sagnode; }
-worker_pid() { pgrep -P "$(main_pid)" | head -n 1; }
-other_worker() {
-	local pid
-	pid=$(worker_pid)
-	[ -n "$pid" ] && [ "$pid" != "$1" ]
-}
+. "$(dirname "$0")/looks.sh"
 
 readings_are_kept() { [ -n "$(find /var/lib/sagnode -name 'journal*' -size +0)" ]; }
 
-printf 'systemd %s, Python %s, up %s s\n' "$(systemctl --version | awk 'NR == 1 {print $2}')" \
-	"$(python3 -c 'import platform; print(platform.python_version())')" "$(cut -d' ' -f1 /proc/uptime)"
+told_versions
 [ "$(systemctl is-enabled sagnode)" = enabled ] || fail 'the service is not enabled'
 ok 'the service is enabled'
 
@@ -91,7 +66,7 @@ ok "the service is ready: $(systemctl show --value -p StatusText sagnode)"
 [ "$(ps -o user= -p "$(main_pid)")" = sagnode ] || fail 'the daemon does not run as sagnode'
 [ "$(stat -c %U /var/lib/sagnode)" = sagnode ] || fail 'the state directory is not its own'
 ok 'it runs as sagnode, with its own state directory'
-systemd-analyze security sagnode --no-pager | tail -n 1
+exposure_is_low
 sagnode-enrol --tls /root/tls request 2>/dev/null | openssl req -noout -subject | grep -q 'U/L/1-2/n1' || fail 'no request for a certificate'
 ok 'sagnode-enrol is there, and asks for a certificate of this unit'"'"'s name'
 printf 'memory %s MB, tasks %s\n' "$(($(systemctl show --value -p MemoryCurrent sagnode | grep -x '[0-9]*' || echo 0) / 1000000))" \
@@ -120,15 +95,11 @@ systemctl reload sagnode || fail 'reload'
 sleep 2
 [ "$(main_pid)" = "$before" ] || fail 'a reload restarted the daemon'
 ok 'a reload keeps the daemon'
-began=$SECONDS
-systemctl stop sagnode
-[ "$(systemctl is-active sagnode)" = inactive ] || fail "after stop: $(systemctl is-active sagnode)"
-! pgrep -u sagnode >/dev/null || fail 'processes are left'
-ok "stopped within $((SECONDS - began)) s, nothing is left"
+stop_cleanly
 
 # Updates, without network: a release that runs, then three that must not stay.
 version() { basename "$(readlink /opt/sagnode/current)"; }
-journal_rows() { python3 -c 'import sqlite3; print(sqlite3.connect("file:/var/lib/sagnode/journal.sqlite?mode=ro", uri=True).execute("SELECT count(*) FROM readings").fetchone()[0])'; }
+journal_rows() { journal 'SELECT count(*) FROM readings'; }
 update() { SETTLE_S=5 bash /packages/install.sh --from "/packages/$1.deb" >/root/update.log 2>&1; }
 systemctl start sagnode
 first=$(version)

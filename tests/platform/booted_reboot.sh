@@ -2,12 +2,7 @@
 # Runs in the machine of booted.sh, twice (bare_root.sh ... boot): "ask" leaves the service with a camera that is not there
 # until it asks for a restart of the machine, which ends this script with the machine; "after" looks at what then came up.
 set -euo pipefail
-ok() { printf 'ok    %s\n' "$*"; }
-fail() {
-	printf 'FAIL  %s\n' "$*"
-	journalctl --no-pager -b -u sagnode -u sagnode-reboot.path -u sagnode-reboot.service -n 60 || true
-	exit 1
-}
+. "$(dirname "$0")/looks.sh"
 recovery() { python3 -c 'import json, sys; print(json.load(open("/var/lib/sagnode/recovery.json"))[sys.argv[1]])' "$1"; }
 
 case $1 in
@@ -31,12 +26,8 @@ ask)
 	;;
 after)
 	[ "$(systemctl is-enabled sagnode)" = enabled ] || fail 'the service is not enabled'
-	end=$((SECONDS + 60))
-	until systemctl is-active --quiet sagnode; do
-		[ $SECONDS -lt $end ] || fail 'the service is not up after the restart'
-		sleep 0.2
-	done
-	ok "no camera: the service was started anew, then the machine; the service is up again by itself"
+	until_true 60 'no camera: the service was started anew, then the machine; the service is up again by itself' \
+		systemctl is-active --quiet sagnode
 	[ "$(recovery reboots)" = 1 ] || fail "restarts of the machine that are remembered: $(recovery reboots)"
 	[ ! -e /run/sagnode/reboot-wanted ] || fail 'the request is still there'
 	# Long enough for more faults than the first restart took. A container has the boot id of the machine below, so that the

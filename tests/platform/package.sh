@@ -3,11 +3,7 @@
 # and nothing of it is left. /packages holds sagnode.deb and newer.deb, the same with a higher version. Prints PACKAGE FINE.
 set -euo pipefail
 export DEBIAN_FRONTEND=noninteractive
-ok() { printf 'ok    %s\n' "$*"; }
-fail() {
-	printf 'FAIL  %s\n' "$*"
-	exit 1
-}
+. "$(dirname "$0")/looks.sh"
 # Everything on the disk but caches, logs, what apt and dpkg keep for themselves, and the backups of the user database.
 listing() {
 	find / -xdev \( -path /proc -o -path /sys -o -path /dev -o -path /run -o -path /tmp -o -path /packages -o -path /var/cache \
@@ -65,7 +61,6 @@ ok 'an upgrade and the step back keep the configuration'
 apt-get remove -y -qq sagnode
 [ ! -e /usr/lib/sagnode ] || fail "left: $(find /usr/lib/sagnode | head -n 3)"
 [ -e /etc/sagnode/node.toml ] || fail 'remove took the configuration'
-apt-get install -y -qq --no-install-recommends /packages/sagnode.deb
 apt-get purge -y -qq sagnode
 listing >/tmp/after
 getent passwd | LC_ALL=C sort >/tmp/users-after

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import importlib.util
 import json
-import sys
+import os
+import time
 from pathlib import Path
 from types import ModuleType
 
@@ -18,7 +19,7 @@ def lanes(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> ModuleType:
     spec = importlib.util.spec_from_file_location("platform_lanes", HERE / "lanes.py")
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)
-    monkeypatch.setitem(sys.modules, "platform_lanes", module)  # dataclasses look their module up
+    monkeypatch.syspath_prepend(str(HERE))
     spec.loader.exec_module(module)
     monkeypatch.setattr(module, "KEPT", tmp_path / "kept")
     monkeypatch.setattr(module, "DOCUMENT", tmp_path / "platform.md")
@@ -56,6 +57,47 @@ def test_what_a_lane_said_is_shown_and_a_failure_is_one(
     assert "| FAILED |" in lanes.DOCUMENT.read_text()
     assert json.loads((lanes.KEPT / "good.json").read_text())["result"] == "fine"
     assert lanes.main(["nonsense"]) == 2
+
+
+def test_lanes_run_beside_each_other_but_for_those_of_one_root(
+    lanes: ModuleType, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    def lane(name: str, script: str, root: str, *after: str) -> object:
+        commands = (("sh", "-c", script),)
+        return lanes.Lane(name, name, commands, (), root=False, uses=frozenset({root}), after=after)
+
+    here = tmp_path
+    # One that waits for the other to have begun, one that must find the root left alone, one that needs a result.
+    meets = f"touch {here}/one; until [ -e {here}/other ]; do sleep 0.02; done; sleep 0.2; rm {here}/one"
+    every = (
+        lane("last", f"test -e {here}/made", "c", "maker"),
+        lane("one", meets, "a"),
+        lane("other", f"touch {here}/other; until [ -e {here}/one ]; do sleep 0.02; done", "b"),
+        lane("again", f"! test -e {here}/one", "a"),
+        lane("maker", f"touch {here}/made", "d"),
+    )
+    monkeypatch.setattr(lanes, "lanes", lambda: every)
+    monkeypatch.setenv("JOBS", "3")
+    assert lanes.main([]) == 0
+    assert "3 lanes at a time" in lanes.DOCUMENT.read_text()
+
+
+def test_a_lane_that_does_not_end_is_ended_with_all_its_children(
+    lanes: ModuleType, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    script = f"sh -c 'echo $$ >{tmp_path}/child; exec sleep 100' & echo 'ok    begun'; wait"
+    slow = lanes.Lane("slow", "what hangs", (("sh", "-c", script),), (), root=False, limit_s=0.5)
+    monkeypatch.setattr(lanes, "lanes", lambda: (slow,))
+    assert lanes.main([]) == 1
+    assert "not run: needs more than its 0 s on this machine" in lanes.DOCUMENT.read_text()
+    child = int((tmp_path / "child").read_text())
+    for _ in range(100):
+        try:
+            os.kill(child, 0)
+        except ProcessLookupError:
+            return
+        time.sleep(0.05)
+    raise AssertionError("a child goes on")
 
 
 def test_what_cannot_run_here_is_skipped_aloud_where_that_is_asked_for(

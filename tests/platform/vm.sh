@@ -9,30 +9,25 @@
 # Needs bare_root.sh trixie root, the package for trixie on amd64 (make deb) and, on Debian: apt install qemu-system-x86
 # systemd-container busybox-static cpio e2fsprogs
 set -euo pipefail
-HERE=$(cd "$(dirname "$0")/../.." && pwd)
-WORK=${WORK:-/var/tmp/sagnode-roots}
+export suite=trixie ARCH=amd64
+. "$(dirname "$0")/roots.sh"
+BARE=$ROOT
 ROOT=$WORK/trixie-vm
 DISK=$WORK/vm.ext4
 KERNEL=$WORK/vm-kernel
 INITRD=$WORK/vm-initrd
 LIMIT_S=${LIMIT_S:-1800}
+export BIND=$HERE:/checkout
 
-in_root() {
-	systemd-nspawn --quiet --directory="$ROOT" --register=no --keep-unit --console=pipe --resolv-conf=copy-host \
-		--setenv=PIP_CERT=/etc/ssl/certs/ca-certificates.crt ${PIP_INDEX_URL:+--setenv=PIP_INDEX_URL} \
-		--bind-ro="$HERE":/checkout bash -euo pipefail -c "$1" </dev/null \
-		2> >(grep -v 'Attempted to remove disk file system' >&2)
-}
-
-make_root() {
-	[ -d "$WORK/trixie" ] || {
-		echo "no $WORK/trixie: tests/platform/bare_root.sh trixie root" >&2
+make_machine_root() {
+	[ -d "$BARE" ] || {
+		echo "no $BARE: tests/platform/bare_root.sh trixie root" >&2
 		exit 1
 	}
-	rm -rf --one-file-system "$ROOT"
-	cp -a --reflink=auto "$WORK/trixie" "$ROOT"
+	rm -rf --one-file-system "$ROOT" "$ROOT.new"
+	flock "$BARE.lock" cp -a --reflink=auto "$BARE" "$ROOT.new"
 	# v4l2loopback is built for the kernel that is installed beside it; its compiler goes away again.
-	in_root 'export DEBIAN_FRONTEND=noninteractive
+	IN=$ROOT.new fetching in_root 'export DEBIAN_FRONTEND=noninteractive
 		apt-get update -qq
 		apt-get install -y -qq --no-install-recommends systemd systemd-sysv dbus udev kmod procps iproute2 v4l-utils mosquitto \
 			mosquitto-clients linux-image-amd64 linux-headers-amd64 v4l2loopback-dkms >/dev/null
@@ -46,28 +41,19 @@ make_root() {
 		apt-get clean; rm -rf /var/lib/apt/lists/*
 		systemctl mask --quiet getty@.service serial-getty@.service systemd-logind.service apt-daily.timer \
 			apt-daily-upgrade.timer fstrim.timer dpkg-db-backup.timer e2scrub_all.timer'
-	: >"$ROOT/etc/fstab"
+	: >"$ROOT.new/etc/fstab"
+	mv "$ROOT.new" "$ROOT"
 	du -sm "$ROOT"
 }
 
-# The package, and a configuration that measures from the first moment on: pictures of the demonstration's noon, delivered
-# to the broker beside it.
+# The package, and a configuration that measures from the first moment on and delivers to the broker beside it.
 install_package() {
 	local package
-	package=$(find "$HERE/build" -name 'sagnode_*+deb13_amd64.deb' 2>/dev/null || true)
-	[ -f "$package" ] || {
-		echo "no build/sagnode_*+deb13_amd64.deb: make deb" >&2
-		exit 1
-	}
+	package=$(find_package)
 	in_root "! dpkg-query -W sagnode >/dev/null 2>&1 || apt-get purge -y -qq sagnode
 		dpkg -i /checkout/build/${package##*/}
 		systemctl --quiet enable mosquitto"
-	local site=$ROOT/etc/sagnode
-	cp "$HERE"/src/sagnode/demo/site/{span.toml,camera.yaml,reference.jpg} "$site/"
-	mkdir -p "$site/frames"
-	cp "$HERE"/src/sagnode/demo/site/frames/20260621T1{1,2,3}*.jpg "$site/frames/"
-	cp "$HERE/tests/platform/vm_node.toml" "$site/node.toml"
-	chmod -R a+rX "$site"
+	write_site "$ROOT/etc/sagnode" <"$HERE/tests/platform/vm_node.toml"
 	printf 'i6300esb\n' >"$ROOT/etc/modules-load.d/watchdog.conf"
 	mkdir -p "$ROOT/etc/systemd/system.conf.d"
 	printf '[Manager]\nRuntimeWatchdogSec=30\n' >"$ROOT/etc/systemd/system.conf.d/watchdog.conf"
@@ -168,8 +154,9 @@ run_jobs() {
 	grep -q '^JOBS RC 0' "$share/out.log"
 }
 
+case ${1:-} in root | image | run) lock_root ;; esac
 case ${1:-} in
-root) make_root ;;
+root) make_machine_root ;;
 image) make_image ;;
 run)
 	shift

@@ -2,11 +2,7 @@
 # Runs in the virtual machine (vm.sh run vm_boot.sh): how long from power-on to the first reading, at the broker too?
 set -euo pipefail
 LIMIT_S=60
-fail() {
-	printf 'FAIL  %s\n' "$*"
-	journalctl --no-pager -b -u sagnode -n 40 || true
-	exit 1
-}
+. "$(dirname "$0")/looks.sh"
 first() { journalctl --no-pager -b -o short-monotonic -u sagnode | sed -n "s/^\[ *\([0-9.]*\)\].* $1.*/\1/p" | head -n 1; }
 until [ -n "$(first 'is good')" ] || [ "$(cut -d. -f1 /proc/uptime)" -gt 240 ]; do sleep 1; done
 reading=$(first 'is good')
@@ -17,5 +13,5 @@ awk -v t="$reading" -v limit="$LIMIT_S" 'BEGIN {exit !(t <= limit)}' || fail "la
 until systemctl is-active --quiet mosquitto || [ "$(cut -d. -f1 /proc/uptime)" -gt 240 ]; do sleep 1; done
 message=$(timeout 90 mosquitto_sub -h localhost -t 'sagnode/v1/U/L/+/vm1/measurement/L1' -C 1) || fail 'nothing at the broker'
 printf 'ok    at the broker: %s\n' "$(printf '%s' "$message" | tr ',' '\n' | grep -E '"(sag_m|sag_u|validity)"' | tr '\n' ' ')"
-systemd-analyze security sagnode --no-pager | tail -n 1
+exposure_is_low
 sagnode doctor || fail 'doctor finds a fault'

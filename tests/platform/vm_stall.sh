@@ -3,13 +3,8 @@
 # next good reading is due within two periods, by the same daemon.
 set -euo pipefail
 PERIOD_S=60
-fail() {
-	printf 'FAIL  %s\n' "$*"
-	journalctl --no-pager -b -u sagnode -n 40 || true
-	exit 1
-}
+. "$(dirname "$0")/looks.sh"
 up() { cut -d' ' -f1 /proc/uptime; }
-main_pid() { systemctl show --value -p MainPID sagnode; }
 # heard SINCE PATTERN: the time since boot of the first line of the log after SINCE that has it.
 heard() {
 	journalctl --no-pager -b -o short-monotonic -u sagnode |

@@ -1,0 +1,37 @@
+#!/bin/bash
+# Runs in a booted machine on which the package was installed (bare_root.sh ... boot-package): the package's service comes up
+# by itself, measures the demonstration's noon, has its worker killed, is hung, reloaded and stopped. Prints BOOTED FINE.
+#
+# EMULATED=yes where programs are emulated one by one (qemu-aarch64), some ten times slower than the machine: then nothing
+# is hung on purpose, since a watchdog with such patience would take minutes.
+set -euo pipefail
+. "$(dirname "$0")/looks.sh"
+export PAUSE_S=1
+patience_s=60
+[ "${EMULATED:-no}" = no ] || patience_s=600
+
+told_versions
+began=$SECONDS
+until_true "$patience_s" 'the service of the package came up by itself and said that it is ready' systemctl is-active --quiet sagnode
+[ "$(ps -o user= -p "$(main_pid)")" = sagnode ] || fail 'the daemon does not run as sagnode'
+until_true "$patience_s" 'three good readings are in the journal' good 3
+first_good_readings
+ok "$((SECONDS - began)) s after the look began"
+
+before=$(main_pid)
+so_far=$(journal "SELECT count(*) FROM readings WHERE validity = 'good'")
+kill -9 "$(worker_pid)"
+until_true "$patience_s" 'a killed worker is replaced, and readings come again' good $((so_far + 3))
+[ "$(main_pid)" = "$before" ] || fail 'the daemon ended with its worker'
+systemctl reload sagnode || fail 'reload'
+sleep 5
+[ "$(main_pid)" = "$before" ] && systemctl is-active --quiet sagnode || fail 'a reload restarted the daemon'
+[ "$(restarts)" = 0 ] || fail 'systemd restarted the daemon'
+ok 'a reload keeps the daemon; systemd and its watchdog never had to start it anew'
+if [ "${EMULATED:-no}" = no ]; then
+	exposure_is_low
+	kill -STOP "$before"
+	until_true "$patience_s" 'a hung daemon is ended by the watchdog and started again' is_another "$before"
+fi
+stop_cleanly
+echo 'BOOTED FINE'
