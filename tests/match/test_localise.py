@@ -110,3 +110,18 @@ def test_a_ribbon_follows_the_picture_to_a_fraction_of_a_grey_level_along_any_cu
     np.testing.assert_allclose(
         ribbon, straighten(image.astype(np.float32), pixels, normals(pixels), offsets), atol=0.07
     )
+
+
+@pytest.mark.parametrize("mistaken", [0.8, 1.0, 1.2])
+def test_a_wire_unlike_its_kernel_is_as_certain_as_it_is_alike_on_both_sides(mistaken: float) -> None:
+    rng = np.random.default_rng(4)
+    errors, sigmas = [], []
+    for _ in range(8):
+        row = 60 + rng.uniform(-0.5, 0.5)
+        pixels, normal = curve(60.0)
+        blocks = localise(strip(rng, row, 6.0, 80, 1), pixels, normal, 6.0 * mistaken, 3.0)
+        errors.append(blocks.offset - (row - 60.0))
+        sigmas.append(blocks.sigma)
+    error, sigma = np.concatenate(errors), np.concatenate(sigmas)
+    assert np.median(sigma) < 0.03, "a width that is wrong by a fifth does not move the wire"
+    assert (error / sigma).std() < 1.4

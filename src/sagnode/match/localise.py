@@ -35,6 +35,13 @@ ROUNDING_GREY = 0.15
 """Least noise of a block's mean profile: 8-bit rounding, averaged along the block."""
 BESIDE_SAMPLES = 6
 """Samples along a block that suffice to see what the surroundings look like."""
+UNEVEN = 1.1
+"""Factor of the noise seen on one side more than on the other, for what taking the lesser of two and leaving out the
+kernel's slope cost it; see the tests."""
+SHARING = 1.05
+"""Factor of the variance (see :func:`_overlap`) from which windows about sub-conductors share pixels."""
+SYMMETRIC_PX = 0.2
+"""Sub-conductors are mirrored about a bundle's centre line when their places differ by less."""
 CORRELATED = 2.7
 """Variance factor of the offset for neighbouring samples sharing pixels (bilinear, ½ px apart); see the tests."""
 
@@ -161,19 +168,21 @@ def localise_beside(
     wires = [pixels + offset[:, None] * normal for offset in members] if len(members) > 1 else [pixels]
     middles = np.add.reduceat(members, starts, axis=1) / size
     kernels = bundle_kernels(width, middles, STEP_PX * _steps(near), blur_px)
-    compared = [
-        compare(_profiles(image, wire, normal, starts, reach + near, far + near), kernel)
-        for wire, kernel in zip(wires, kernels, strict=True)
-    ]
+    profiles = [_profiles(image, wire, normal, starts, reach + near, far + near) for wire in wires]
+    compared = [compare(profile, kernel) for profile, kernel in zip(profiles, kernels, strict=True)]
     amplitude, energy = (np.sum(part, axis=0) for part in zip(*compared, strict=True))
     kernel = np.concatenate(kernels, axis=1)
     window = reach + centres[:, None, None] + np.arange(-far, far + 1)
     row = np.arange(len(starts))[:, None]
-    position, sigma, snr, likeness, contrast = _peaks(
-        amplitude[row, window], energy[row, window], kernel, len(wires), _overlap(kernels, middles)
+    overlap = _overlap(kernels, middles)
+    position, sigma, snr, likeness, contrast, noise = _peaks(
+        amplitude[row, window], energy[row, window], kernel, len(wires), overlap
     )
     offset = STEP_PX * (position - far)
     ends = np.asarray(STEP_PX * (centres[:, None] + np.array([-far - near, far + near])), dtype=np.float64)
+    uneven = _uneven_noise(profiles, kernels, middles, reach - far + position[0])
+    # where windows share pixels, the noise of one side is in the other too
+    sigma[0] *= np.where(overlap < SHARING, np.minimum(1.0, uneven / np.maximum(noise[0], ROUNDING_GREY)), 1.0)
     seen = np.all([_inside(image, wire, normal, starts, ends) for wire in wires], axis=0)
     valid = seen & np.isfinite(offset) & (np.abs(offset) <= half_range_px)
     middle = starts + size // 2
@@ -291,8 +300,8 @@ def _overlap(kernels: list[FloatArray], middles: FloatArray) -> FloatArray:
 
 def _peaks(
     amplitude: FloatArray, energy: FloatArray, kernel: FloatArray, wires: int, overlap: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Best position (fractional window number), sigma px, snr, correlation and contrast (S, M).
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Best position (fractional window number), sigma px, snr, correlation, contrast and noise (S, M).
 
     From the amplitude and energy (S, M, K) of the windows about S places of M blocks, with their kernels (M, n) for
     all sub-conductors one after the other, and what their windows share makes of the variance (M,).
@@ -317,7 +326,41 @@ def _peaks(
     steepness = np.sqrt(np.sum(slopes**2, axis=(1, 2)))
     snr = size / (noise * np.sqrt(CORRELATED * overlap))
     sigma = 1 / np.maximum(snr * steepness, 1e-6)
-    return position, sigma, snr, here, height * np.ptp(kernel, axis=1)
+    return position, sigma, snr, here, height * np.ptp(kernel, axis=1), noise
+
+
+def _uneven_noise(
+    profiles: list[FloatArray], kernels: list[FloatArray], middles: FloatArray, start: FloatArray
+) -> FloatArray:
+    """Noise (M,), grey levels, of what is not the same on both sides of a wire, or of a bundle; infinite if not known.
+
+    A wire is wider, sharper or darker within than its kernel says, but alike on both sides, and what is alike on both
+    sides does not move it. From profiles (M, K) about every sub-conductor at ``middles`` (m, M), in the windows that
+    begin at the columns ``start`` (M,).
+    """
+    order = np.argsort(middles.mean(axis=1))
+    unknown = np.full(len(start), np.inf)
+    if not np.allclose(middles[order], -middles[order[::-1]], atol=SYMMETRIC_PX):
+        return unknown
+    wires, n = len(order), kernels[0].shape[1]
+    first = np.rint(np.nan_to_num(start)).astype(np.intp)[:, None]
+    columns = np.clip(first + np.arange(n), 0, profiles[0].shape[1] - 1)
+    windows = np.stack([np.take_along_axis(profiles[k], columns, axis=1) for k in order], axis=1)
+    windows -= windows.mean(axis=2, keepdims=True)
+    slope = _steps(n // 2) / np.linalg.norm(_steps(n // 2))
+    windows -= (windows @ slope)[..., None] * slope
+    turned = np.stack([np.gradient(kernels[k], axis=1) for k in order], axis=1)
+    turned -= (turned @ slope)[..., None] * slope
+    rest = (0.5 * (windows - windows[:, ::-1, ::-1])).reshape(len(start), -1)
+    # a fraction of a step between window and wire looks like the kernel's slope, and is no noise
+    turned = turned.reshape(len(start), -1)
+    turned /= np.linalg.norm(turned, axis=1, keepdims=True)
+    rest -= np.sum(rest * turned, axis=1, keepdims=True) * turned
+    own = np.sum(rest**2, axis=1) / max(wires * (n // 2) - wires - 1, 1)
+    around = own.copy()
+    around[1:-1] = (own[:-2] + own[1:-1] + own[2:]) / 3
+    noise = UNEVEN * np.sqrt(np.maximum(own, around))
+    return np.where(np.isfinite(start), np.hypot(noise, ROUNDING_GREY), np.inf)
 
 
 def compare(profiles: FloatArray, kernel: FloatArray) -> tuple[FloatArray, FloatArray]:
