@@ -123,5 +123,5 @@ def test_a_wire_unlike_its_kernel_is_as_certain_as_it_is_alike_on_both_sides(mis
         errors.append(blocks.offset - (row - 60.0))
         sigmas.append(blocks.sigma)
     error, sigma = np.concatenate(errors), np.concatenate(sigmas)
-    assert np.median(sigma) < 0.03, "a width that is wrong by a fifth does not move the wire"
+    assert np.median(sigma) < 0.05, "a width that is wrong by a fifth does not move the wire"
     assert (error / sigma).std() < 1.4
