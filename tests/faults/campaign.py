@@ -27,18 +27,19 @@ from pathlib import Path
 HERE = Path(__file__).parent
 ROOT = HERE.parents[1]
 SECTIONS = ("worker", "kill", "camera", "broker", "backlog", "disk", "journal", "clock", "reload", "commands", "power",
-            "fuzz")  # fmt: skip
+            "vm", "fuzz")  # fmt: skip
 ALONE = ("backlog",)
 """What measures a promised rate is not disturbed."""
 LONGEST_FIRST = (
+    "worker",
+    "vm",
+    "journal",
     "camera",
     "kill",
-    "worker",
     "broker",
     "fuzz",
     "power",
     "reload",
-    "journal",
     "disk",
     "clock",
     "commands",

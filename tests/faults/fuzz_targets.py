@@ -16,8 +16,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 from mutate import mutated, rearranged
+from nodes import SITE
 from pydantic import TypeAdapter, ValidationError
-from rig import SITE
 from section_backlog import coded_reading
 
 from sagnode.calibrate.files import load_intrinsics

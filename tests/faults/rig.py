@@ -3,7 +3,6 @@
 import contextlib
 import json
 import os
-import shutil
 import signal
 import socket
 import sqlite3
@@ -12,17 +11,15 @@ import sys
 import threading
 import time
 from dataclasses import dataclass, field
-from importlib.resources import files
 from pathlib import Path
 
 from brokers import Mosquitto, Subscriber
 from coded import is_true
+from nodes import write_node
 from witness import Witness
 
 HERE = Path(__file__).parent
 CONDUCTORS = ("L1", "L2", "L3")
-
-SITE = Path(str(files("sagnode.demo") / "site"))
 
 
 @dataclass
@@ -101,7 +98,7 @@ class Rig:
         self.direct = direct
         self._options = {
             "virtual": virtual, "interval_s": interval_s, "deadline_s": deadline_s, "more": more, "mqtt": mqtt,
-            "camera": camera, "pictures": pictures,
+            "camera": camera, "pictures": pictures, "host": "127.0.0.1",
         }  # fmt: skip
         self._words = {
             "worker": worker
@@ -112,6 +109,8 @@ class Rig:
             **({"names": str(directory / "names")} if names else {}),
         }  # fmt: skip
         self.daemon = None
+        self.launch = self._launch
+        """Starts the daemon's words with an environment; another machine can do that too."""
         self.kills = 0
         self.peak_mb = 0.0
         """Greatest memory of a daemon that was ended."""
@@ -145,37 +144,22 @@ class Rig:
             'backend = "replay"\n[camera.replay]\npath = "frames"' if o["virtual"] else 'backend = "v4l2"'
         )
         port = self.broker.port if self.direct else self.witness.port
-        (self.directory / "node.toml").write_text(
-            f"""
-span_file = "span.toml"
-[unit]
-utility = "u"
-line = "l"
-span = "s"
-unit = "n"
-[camera]
-{camera}
-[schedule]
-interval_s = {o["interval_s"]}
-deadline_s = {o["deadline_s"]}
-clock = "{"virtual" if o["virtual"] else "system"}"
-[worker]
-backoff_max_s = 0.2
-[storage]
-state_dir = "{self.state}"
-pictures = {str(o["pictures"]).lower()}
+        clock = "virtual" if o["virtual"] else "system"
+        write_node(
+            self.directory,
+            camera,
+            f'interval_s = {o["interval_s"]}\ndeadline_s = {o["deadline_s"]}\nclock = "{clock}"',
+            state=self.state,
+            backoff_max_s=0.2,
+            more=f"""pictures = {str(o["pictures"]).lower()}
 {o["more"]}
 [mqtt]
-host = "127.0.0.1"
+host = "{o["host"]}"
 port = {port}
 backlog_per_s = 2000.0
 inflight = 20
-{o["mqtt"]}
-"""
+{o["mqtt"]}""",
         )
-        for name in ("span.toml", "camera.yaml", "reference.jpg"):
-            if not (self.directory / name).exists():
-                shutil.copy(SITE / name, self.directory)
 
     def start(self, **environment):
         env = {k: v for k, v in os.environ.items() if k not in {"STATE_DIRECTORY", "RUNTIME_DIRECTORY"}}
@@ -184,10 +168,11 @@ inflight = 20
         if self.manager:
             env["NOTIFY_SOCKET"] = str(self.directory / "notify")
         words = [sys.executable, str(HERE / "stand_in_node.py"), str(self.directory / "node.toml")]
-        self.daemon = subprocess.Popen(
-            [*words, json.dumps(self._words)], stdout=self._log, stderr=self._log, env={**env, **environment}
-        )
+        self.daemon = self.launch([*words, json.dumps(self._words)], {**env, **environment})
         return self.daemon
+
+    def _launch(self, words, environment):
+        return subprocess.Popen(words, stdout=self._log, stderr=self._log, env=environment)
 
     def kill(self):
         """``kill -9`` of the daemon."""

@@ -7,7 +7,8 @@ import shutil
 import sys
 from datetime import datetime
 
-from rig import HERE, SITE, Rig
+from nodes import SITE
+from rig import HERE, Rig
 from table import Line
 
 from sagnode.demo.results import read_truth

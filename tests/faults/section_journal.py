@@ -12,9 +12,11 @@ import sqlite3
 import time
 from collections import Counter
 from datetime import UTC, datetime
+from functools import partial
 
 from coded import is_true
 from section_backlog import coded_reading, fill
+from steps import killed_before, lines_of
 from table import Line
 
 from sagnode.daemon.journal import Journal
@@ -22,6 +24,7 @@ from sagnode.daemon.journal_file import checksum
 from sagnode.daemon.sequence import BLOCK
 
 COUNT = 600
+KILLS = 200
 READINGS = 120
 _BEGIN = re.compile(rb'\{"schema_version":')
 _SEQUENCE = re.compile(rb'"sequence":(\d+)')
@@ -86,6 +89,40 @@ def run(campaign):
         yield Line("journal", f"journal or its log: {title}", times, total["whole"], total["found"],
                    total["whole"] - total["found"], 0, total["false"], recovery=recovery, limit_s=60.0, broken=broken,
                    remark=f"{total['destroyed']} of {times * len(texts)} destroyed with their bytes")  # fmt: skip
+    yield killed_while_it_mends(campaign, original, texts, stored)
+
+
+def killed_while_it_mends(campaign, original, texts, stored):
+    """Any of the damages; whoever mends it is killed before a line of the code, any of those it comes to."""
+    place, rehearsal = (campaign.fresh("journal") / "state" for _ in range(2))
+    times, total, broken, recovery, lines = campaign.count(KILLS), Counter(), [], [], set()
+    for number in range(times):
+        shutil.rmtree(place, ignore_errors=True)
+        shutil.copytree(original, place)
+        damage = campaign.random.choice(list(DAMAGES.values()))
+        target = place / campaign.random.choice(("journal.sqlite", "journal.sqlite", "journal.sqlite-wal"))
+        damage(campaign.random, data := bytearray(target.read_bytes()))
+        target.write_bytes(data)
+        whole = whole_in(raw_of(place), stored)
+        shutil.rmtree(rehearsal, ignore_errors=True)
+        shutil.copytree(place, rehearsal)
+        boot_id = f"boot-{campaign.random.choice((1, 2))}"
+        line = campaign.random.choice(lines_of(partial(opened_and_closed, rehearsal, boot_id)))
+        killed_before(partial(opened_and_closed, place, boot_id), line)
+        lines.add(line)
+        began = time.monotonic()
+        found, wrong = reopened(place, texts, stored, whole)
+        recovery.append(time.monotonic() - began)
+        broken += [f"killed before {line}, number {number}: {text}" for text in wrong]
+        total.update(found)
+    return Line("journal", "journal damaged, and its process killed while it mends it", times, total["whole"],
+                total["found"], total["whole"] - total["found"], 0, total["false"], recovery=recovery, limit_s=60.0,
+                broken=broken, remark=f"at {len(lines)} different lines of the code; {total['destroyed']} of"
+                f" {times * len(texts)} destroyed with their bytes")  # fmt: skip
+
+
+def opened_and_closed(place, boot_id):
+    Journal(place / "journal.sqlite", boot_id).close()
 
 
 def log_of_last_readings(original):
@@ -127,10 +164,19 @@ def whole_in(raw, stored):
     return {n for n, at in by_number if any(raw.startswith(text, at) for text in stored.get(n, ()))}
 
 
-def reopened(place, texts, stored):
-    """Open the damaged journal as the daemon does; counts, and sentences on what is wrong."""
-    raw = b"".join(file.read_bytes() for file in sorted(place.glob("journal.sqlite*")) if not file.name.endswith("shm"))
-    whole = whole_in(raw, stored)
+def raw_of(place):
+    return b"".join(
+        file.read_bytes() for file in sorted(place.glob("journal.sqlite*")) if not file.name.endswith("shm")
+    )
+
+
+def reopened(place, texts, stored, whole=None):
+    """Open the damaged journal as the daemon does; counts, and sentences on what is wrong.
+
+    Args:
+        whole: numbers of the readings that must be found; as many as are whole in the files, where none are given.
+    """
+    whole = whole_in(raw_of(place), stored) if whole is None else whole
     wrong = []
     journal = Journal(place / "journal.sqlite", "boot-2")
     highest = max(texts)

@@ -38,8 +38,8 @@ def available():
     return None
 
 
-class VolatileDisk:
-    """Mounted while it is open; a context manager.
+class VolatileFile:
+    """The one file, with an empty ext4 in it, for a loop device or a virtual machine; a context manager.
 
     Args:
         directory: for its files and mount points.
@@ -57,52 +57,28 @@ class VolatileDisk:
         self.flushes = self.refused = 0
         self._lock = threading.Lock()
         self._fuse = self.directory / "fuse"
-        self.place = self.directory / "mounted"
-        self.device = None
+        self.file = self._fuse / NAME.decode()
 
     def __enter__(self):
-        for place in (self._fuse, self.place):
-            place.mkdir(parents=True)
+        self._fuse.mkdir(parents=True)
         self._fd = os.open("/dev/fuse", os.O_RDWR | os.O_CLOEXEC)
         options = f"fd={self._fd},rootmode=40000,user_id=0,group_id=0,allow_other".encode()
         libc = ctypes.CDLL(None, use_errno=True)
         if libc.mount(b"sagnode-test", bytes(self._fuse), b"fuse", _MS_NODEV_NOSUID, options):
             raise OSError(ctypes.get_errno(), "mount of the file system in user space")
         threading.Thread(target=self._serve, daemon=True).start()
-        file = self._fuse / NAME.decode()
-        run("mkfs.ext4", "-q", "-F", "-b", "4096", "-E", "nodiscard", "-O", "^metadata_csum_seed", file)
-        self.device = run("losetup", "--show", "-f", file).strip()
-        self.mount()
+        run("mkfs.ext4", "-q", "-F", "-b", "4096", "-E", "nodiscard", "-O", "^metadata_csum_seed", self.file)
         return self
 
     def __exit__(self, *_):
         self.failing = False
-        for words in (("umount", "-l", self.place), ("losetup", "-d", self.device), ("umount", "-l", self._fuse)):
-            subprocess.run([str(word) for word in words], check=False, capture_output=True)
+        subprocess.run(["umount", "-l", str(self._fuse)], check=False, capture_output=True)
 
-    def mount(self):
-        """An error of the disk makes the file system read-only, as Debian mounts its root."""
-        run("mount", "-o", "errors=remount-ro,commit=1", self.device, self.place)
-
-    def unmount(self):
-        run("umount", self.place)
-
-    def repaired(self):
-        """Taken out while nobody uses it, looked over, and put in again as another device."""
-        run("losetup", "-d", self.device)
-        self.device = run("losetup", "--show", "-f", self._fuse / NAME.decode()).strip()
-        subprocess.run(["fsck.ext4", "-y", self.device], check=False, capture_output=True)
-        self.mount()
-
-    def replace(self, image):
-        """The power comes back, and this is what the disk holds; whoever used it must have ended."""
-        self.unmount()
-        run("losetup", "-d", self.device)
+    def put(self, image):
+        """This is what the disk holds when the power comes back; nobody has the file open."""
         with self._lock:
             self.durable[:] = image
             self.unflushed.clear()
-        self.device = run("losetup", "--show", "-f", self._fuse / NAME.decode()).strip()
-        self.mount()
 
     def cut(self):
         """The disk as it would be found if the power failed now: bytes of the whole image."""
@@ -186,6 +162,50 @@ class VolatileDisk:
     def _attributes(self, node):
         kind, size = (stat.S_IFREG | 0o600, self.size) if node == FILE_INODE else (stat.S_IFDIR | 0o700, 4096)
         return struct.pack("<QQQQQQIIIIIIIIII", node, size, size // SECTOR, 0, 0, 0, 0, 0, 0, kind, 1, 0, 0, 0, 4096, 0)
+
+
+class VolatileDisk(VolatileFile):
+    """Mounted while it is open, below its directory at ``place``."""
+
+    def __init__(self, directory, megabytes, random):
+        super().__init__(directory, megabytes, random)
+        self.place = self.directory / "mounted"
+        self.device = None
+
+    def __enter__(self):
+        super().__enter__()
+        self.place.mkdir(parents=True)
+        self.device = run("losetup", "--show", "-f", self.file).strip()
+        self.mount()
+        return self
+
+    def __exit__(self, *words):
+        self.failing = False
+        for command in (("umount", "-l", self.place), ("losetup", "-d", self.device)):
+            subprocess.run([str(word) for word in command], check=False, capture_output=True)
+        super().__exit__(*words)
+
+    def mount(self):
+        """An error of the disk makes the file system read-only, as Debian mounts its root."""
+        run("mount", "-o", "errors=remount-ro,commit=1", self.device, self.place)
+
+    def unmount(self):
+        run("umount", self.place)
+
+    def repaired(self):
+        """Taken out while nobody uses it, looked over, and put in again as another device."""
+        run("losetup", "-d", self.device)
+        self.device = run("losetup", "--show", "-f", self.file).strip()
+        subprocess.run(["fsck.ext4", "-y", self.device], check=False, capture_output=True)
+        self.mount()
+
+    def replace(self, image):
+        """The power comes back, and this is what the disk holds; whoever used it must have ended."""
+        self.unmount()
+        run("losetup", "-d", self.device)
+        self.put(image)
+        self.device = run("losetup", "--show", "-f", self.file).strip()
+        self.mount()
 
 
 def run(*words):

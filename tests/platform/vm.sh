@@ -11,6 +11,7 @@
 set -euo pipefail
 export suite=trixie ARCH=amd64
 . "$(dirname "$0")/roots.sh"
+. "$(dirname "$0")/initrd.sh"
 BARE=$ROOT
 ROOT=$WORK/trixie-vm
 DISK=$WORK/vm.ext4
@@ -87,29 +88,17 @@ make_job() {
 make_image() {
 	install_package
 	make_job
-	local modules=$WORK/vm-initrd.d kernel_version module n=10
+	local kernel_version
 	kernel_version=$(ls "$ROOT/usr/lib/modules")
-	rm -rf --one-file-system "$modules"
-	mkdir -p "$modules"/{bin,dev,proc,root,m}
-	cp "$(command -v busybox)" "$modules/bin/"
-	in_root "modprobe -S $kernel_version --show-depends -a virtio_blk virtio_pci ext4" | awk '/^insmod/ && !seen[$2]++ {print $2}' |
-		while read -r module; do
-			xz -dc "$ROOT$module" >"$modules/m/$n.ko" 2>/dev/null || cp "$ROOT$module" "$modules/m/$n.ko"
-			n=$((n + 1))
-		done
-	cat >"$modules/init" <<-'I'
-		#!/bin/busybox sh
-		/bin/busybox mount -t proc proc /proc
-		/bin/busybox mount -t devtmpfs dev /dev
-		for m in /m/*.ko; do /bin/busybox insmod "$m" 2>/dev/null; done
+	mapfile -t modules < <(in_root "modprobe -S $kernel_version --show-depends -a virtio_blk virtio_pci ext4" |
+		awk -v root="$ROOT" '/^insmod/ && !seen[$2]++ {print root $2}')
+	make_initrd "$INITRD" "${modules[@]}" <<-'I'
 		while [ ! -b /dev/vda ]; do /bin/busybox sleep 0.1; done
 		/bin/busybox mount -t ext4 /dev/vda /root
 		/bin/busybox mount --move /dev /root/dev
 		/bin/busybox umount /proc
 		exec /bin/busybox switch_root /root /lib/systemd/systemd
 	I
-	chmod +x "$modules/init"
-	(cd "$modules" && find . | cpio --quiet -o -H newc | gzip -1) >"$INITRD"
 	cp "$ROOT"/boot/vmlinuz-* "$KERNEL"
 	# As if made just now: without this systemd rebuilds its caches at the first boot of every throw-away copy.
 	printf 'x\nTIMESTAMP_NSEC=%s000000000\n' "$(($(date +%s) + 60))" | tee "$ROOT/etc/.updated" >"$ROOT/var/.updated"

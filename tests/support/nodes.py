@@ -17,11 +17,24 @@ NO_CAMERA = 'backend = "v4l2"\nv4l2 = { device = "/dev/video99" }'
 """Makes invalid readings, which are readings too."""
 
 
-def write_node(directory, camera=NO_CAMERA, schedule="interval_s = 0.5\ndeadline_s = 30", more="", before=""):
-    """The demonstration's survey and a node file beside it; returns the node file."""
+def copy_site(directory):
+    """The demonstration's survey, lens and reference picture, where they are not there yet."""
     for file in ("span.toml", "camera.yaml", "reference.jpg"):
         if not (directory / file).exists():
             shutil.copy(SITE / file, directory)
+
+
+def write_node(
+    directory,
+    camera=NO_CAMERA,
+    schedule="interval_s = 0.5\ndeadline_s = 30",
+    more="",
+    before="",
+    state="state",
+    backoff_max_s=1.0,
+):
+    """The demonstration's survey and a node file beside it; ``more`` goes on in [storage]; returns the node file."""
+    copy_site(directory)
     node = directory / "node.toml"
     node.write_text(
         f"""
@@ -37,9 +50,9 @@ unit = "n"
 [schedule]
 {schedule}
 [worker]
-backoff_max_s = 1.0
+backoff_max_s = {backoff_max_s}
 [storage]
-state_dir = "state"
+state_dir = "{state}"
 {more}
 """
     )

@@ -22,7 +22,7 @@ from pathlib import Path
 from sagnode.daemon import journal_table as table
 from sagnode.daemon.journal_file import is_damage, open_file
 from sagnode.daemon.journal_table import Backlog, Found, Row
-from sagnode.daemon.salvage import raw_rows, start_afresh
+from sagnode.daemon.salvage import KeptLog, put_in_place, start_afresh
 from sagnode.daemon.sequence import Ceiling, Marks
 from sagnode.daemon.wal import lost_frames
 from sagnode.errors import DiskError
@@ -67,23 +67,24 @@ class Journal:
         with self._held():
             self._look_at_the_disk()
             self._ceiling = Ceiling(self.path.with_name("sequence"))
-            trusted = self.path.exists() and not self._marks.power_failed
+            if (aside := put_in_place(self.path)) is not None:
+                self._ceiling.distrust()
+                self._remark(f"was damaged; kept as {aside.name}, a new one was started")
             log_file = self.path.with_name(self.path.name + "-wal")
-            behind_the_damage: dict[int, tuple[object, ...]] = {}
-            if lost_frames(log_file):
-                trusted = False
-                self._remark(f"{self.path.name}-wal was damaged; sequence numbers leave a gap")
-            if not trusted:
-                behind_the_damage = raw_rows([log_file])  # opening the file discards them
+            kept_log = KeptLog(log_file)
+            if torn := lost_frames(log_file):
+                self._remark(f"{log_file.name} was damaged; sequence numbers leave a gap")
+            if torn or self._marks.power_failed or not self.path.exists():
+                self._ceiling.distrust()
+                kept_log.keep()  # opening the journal discards what lies behind a damage
             try:
                 self._db = open_file(self.path)
             except sqlite3.DatabaseError as error:
                 if not is_damage(error):
                     raise
-                trusted = False
                 self._start_afresh(str(error))
-            self._take_back(behind_the_damage)
-            self._count_on(trusted=trusted)
+            self._take_back(kept_log)
+            self._count_on()
             self._marks.opened()
 
     def _look_at_the_disk(self) -> None:
@@ -94,18 +95,22 @@ class Journal:
         self._device = device
 
     def _start_afresh(self, damage: str) -> None:
-        self._db, aside, count = start_afresh(self.path, self._ceiling.value)
+        up_to = self._ceiling.value
+        self._ceiling.distrust()
+        self._db, aside, count = start_afresh(self.path, up_to)
         self._remark(f"damaged ({damage}); kept as {aside.name}, a new one was started")
         log.warning("journal: %d readings carried over from %s", count, aside.name)
 
-    def _take_back(self, rows: dict[int, tuple[object, ...]]) -> None:
+    def _take_back(self, kept: KeptLog) -> None:
         """Readings that only the damaged part of the log held."""
+        rows = kept.rows()
         if rows and (count := table.insert_missing(self._db, rows.values())) > 0:
             log.warning("journal: %d readings taken back from the damaged log", count)
+        kept.forget()
 
-    def _count_on(self, *, trusted: bool) -> None:
+    def _count_on(self) -> None:
         newest = table.newest(self._db)
-        self._next = max(self._next, self._ceiling.next_after(newest, trusted=trusted))
+        self._next = max(self._next, self._ceiling.next_after(newest))
         self._latest = table.newest_by_conductor(self._db, (newest or 0) - _NEWEST)
 
     def _reopen(self) -> None:
@@ -200,7 +205,7 @@ class Journal:
                     self._ceiling.cover(max((row[0] for row in rows), default=0))
                     table.adopt(self._db, rows)
                     count += len(rows)
-            self._count_on(trusted=True)
+            self._count_on()
         return count
 
     def mark_delivered(self, sequences: Iterable[int], at: datetime) -> None:

@@ -109,22 +109,21 @@ def set_aside(path: Path) -> Path:
     return aside
 
 
-def put_back(aside: Path, path: Path) -> None:
-    """Undo :func:`set_aside`, in the place of whatever was begun since; what the disk refuses stays aside."""
+def remove(path: Path) -> None:
+    """Delete a database with its companions, as far as they are there.
+
+    Raises:
+        OSError: the disk refuses.
+    """
     for suffix in ("-wal", "-shm", ""):
-        with contextlib.suppress(OSError):
-            path.with_name(path.name + suffix).unlink(missing_ok=True)
-            part = aside.with_name(aside.name + suffix)
-            if part.exists():
-                part.rename(path.with_name(path.name + suffix))
+        path.with_name(path.name + suffix).unlink(missing_ok=True)
 
 
 def forget_old_quarantine(path: Path) -> None:
     """Keep the newest damaged files only."""
     kept = sorted(path.parent.glob(f"{path.stem}-damaged-*{path.suffix}"), key=lambda file: file.stat().st_mtime)
     for file in kept[:-QUARANTINE_MAX]:
-        for suffix in ("-wal", "-shm", ""):
-            file.with_name(file.name + suffix).unlink(missing_ok=True)
+        remove(file)
 
 
 def text_of(data: bytes) -> str:

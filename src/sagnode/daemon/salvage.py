@@ -11,6 +11,7 @@ import contextlib
 import heapq
 import json
 import mmap
+import os
 import re
 import shutil
 import sqlite3
@@ -18,6 +19,7 @@ from collections.abc import Iterator
 from datetime import UTC, datetime
 from pathlib import Path
 
+from sagnode.daemon.files import sync_directory
 from sagnode.daemon.journal_file import (
     COLUMNS,
     INSERT,
@@ -25,7 +27,7 @@ from sagnode.daemon.journal_file import (
     forget_old_quarantine,
     is_sound,
     open_file,
-    put_back,
+    remove,
     set_aside,
     text_of,
     transaction,
@@ -36,6 +38,8 @@ _CHUNK = 5
 _FAILURES_MAX = 500
 """So often SQLite is asked in vain; what it does not give by then is looked for in the bytes."""
 _JSON_MAX = 65536
+_BEGUN, _MENDED = ".begun", ".mended"
+"""A new journal beside the damaged one while it is filled, and when it is whole."""
 _BEGIN = re.compile(rb'\{"schema_version":"sagnode\.reading/')
 _FATES = {"pending", "delivered", "local"}
 _CRC_BYTES = (4, 6, 8, 3, 2, 1)
@@ -45,7 +49,9 @@ Row = tuple[object, ...]
 
 
 def start_afresh(path: Path, up_to: int) -> tuple[sqlite3.Connection, Path, int]:
-    """Set a damaged journal aside under a name of its own, and begin a new one with what can be read of it.
+    """Begin a new journal with what can be read of a damaged one, and set that one aside under a name of its own.
+
+    It can be cut short anywhere, by a kill or with the power, and begun again.
 
     Args:
         path: the damaged file, with its log beside it.
@@ -58,17 +64,84 @@ def start_afresh(path: Path, up_to: int) -> tuple[sqlite3.Connection, Path, int]
         OSError: the disk refuses.
         sqlite3.Error: the same, said by SQLite.
     """
-    aside = set_aside(path)
+    begun = _beside(path, _BEGUN)
+    remove(begun)  # of an attempt that was cut short
     with contextlib.ExitStack() as undo:
-        # An empty journal would pass for a sound one at the next attempt, and the readings stay where nobody looks.
-        undo.callback(put_back, aside, path)
-        db = open_file(path)
+        undo.callback(remove, begun)
+        db = open_file(begun)
         undo.callback(db.close)
         with transaction(db):
-            count = db.executemany(INSERT, salvage(aside, up_to)).rowcount
+            count = db.executemany(INSERT, salvage(path, up_to)).rowcount
+        db.execute("PRAGMA wal_checkpoint(TRUNCATE)")
+        db.close()
+        begun.rename(_beside(path, _MENDED))
         undo.pop_all()
+    sync_directory(path.parent)
+    aside = put_in_place(path)
+    if aside is None:
+        raise FileNotFoundError(f"{_beside(path, _MENDED)} was taken away")
     forget_old_quarantine(path)
-    return db, aside, max(0, count)
+    return open_file(path), aside, max(0, count)
+
+
+def put_in_place(path: Path) -> Path | None:
+    """The second half of :func:`start_afresh`, also for one that was cut short between the two.
+
+    Until the new journal is whole the damaged one stays where it is, and untouched; from then on it goes aside first.
+
+    Returns:
+        The damaged one's new name; None when there is no new one that waits.
+
+    Raises:
+        OSError: the disk refuses.
+    """
+    mended = _beside(path, _MENDED)
+    if not mended.exists():
+        return None
+    aside = set_aside(path)
+    # A damaged log beside the new journal would be taken for its own.
+    sync_directory(path.parent)
+    mended.rename(path)
+    sync_directory(path.parent)
+    return aside
+
+
+class KeptLog:
+    """A copy of a damaged write-ahead log, for as long as not all of its readings are back in the journal.
+
+    Args:
+        log_file: the log.
+    """
+
+    def __init__(self, log_file: Path) -> None:
+        self._log_file = log_file
+        self._path = _beside(log_file, ".kept")
+
+    def keep(self) -> None:
+        """Copy it if it is there, behind what is kept of an earlier one.
+
+        Raises:
+            OSError: the disk refuses.
+        """
+        if not self._log_file.exists():
+            return
+        with self._log_file.open("rb") as source, self._path.open("ab") as copy:
+            shutil.copyfileobj(source, copy)
+            copy.flush()
+            os.fsync(copy.fileno())
+        sync_directory(self._path.parent)
+
+    def rows(self) -> dict[int, Row]:
+        """Every reading that is whole in it."""
+        return raw_rows([self._path])
+
+    def forget(self) -> None:
+        """All of them are in the journal."""
+        self._path.unlink(missing_ok=True)
+
+
+def _beside(path: Path, suffix: str) -> Path:
+    return path.with_name(path.name + suffix)
 
 
 def salvage(path: Path, up_to: int) -> Iterator[Row]:
@@ -79,9 +152,8 @@ def salvage(path: Path, up_to: int) -> Iterator[Row]:
         up_to: no number above this one was ever used.
     """
     seen: set[int] = set()
-    patched = path.with_name(path.name + ".salvage")
-    raw = [file for file in (path, path.with_name(path.name + "-wal")) if file.exists()]
-    found = raw_rows(raw)  # before SQLite folds the log into the file
+    patched = _beside(path, ".salvage")
+    found = raw_rows([path, _beside(path, "-wal")])
     with contextlib.suppress(OSError):
         shutil.copyfile(path, patched)
         with patched.open("r+b") as stream:
@@ -90,7 +162,9 @@ def salvage(path: Path, up_to: int) -> Iterator[Row]:
             stream.seek(92)
             stream.write(bytes(4))
     for file in (path, patched):
-        with contextlib.suppress(sqlite3.Error), contextlib.closing(sqlite3.connect(file, isolation_level=None)) as db:
+        # Read-only: SQLite must not fold the damaged log into the file, which may have to be read again.
+        uri = f"{file.absolute().as_uri()}?mode=ro"
+        with contextlib.suppress(sqlite3.Error), contextlib.closing(sqlite3.connect(uri, uri=True)) as db:
             db.text_factory = text_of
             for row in _readable(db, up_to):
                 sequence = row[0]
@@ -100,8 +174,7 @@ def salvage(path: Path, up_to: int) -> Iterator[Row]:
     for sequence in sorted(found.keys() - seen):
         if sequence <= up_to:
             yield found[sequence]
-    for suffix in ("-wal", "-shm", ""):
-        patched.with_name(patched.name + suffix).unlink(missing_ok=True)
+    remove(patched)
 
 
 def _owed_if_unsure(row: Row) -> Row:

@@ -4,7 +4,8 @@ A small file beside the journal holds a ceiling: every number up to it may have 
 and forced to the disk, before a number above it is given out; one write for a thousand readings. Normally the journal
 itself says which number is next. When it is damaged, missing or older than the file, counting goes on above the
 ceiling: a consumer sees a gap, never the same number twice. So it does after a power cut: a card that says "written"
-too early may have forgotten the last readings, and nothing in the file tells.
+too early may have forgotten the last readings, and nothing in the file tells. The ceiling is raised by another block
+before a journal that is not trusted is opened or mended, for a kill in the midst leaves one that looks trustworthy.
 """
 
 from __future__ import annotations
@@ -31,6 +32,7 @@ class Ceiling:
         self._paths = (path, path.with_name(path.name + ".copy"))
         self.value = max((_read(p) for p in self._paths), default=0)
         """Numbers up to this one may have been used; 0 on a new node."""
+        self._floor: int | None = None
 
     def cover(self, number: int) -> None:
         """Raise the ceiling so that ``number`` may be used.
@@ -44,15 +46,26 @@ class Ceiling:
                 write_atomic(path, f"{value} {_check(value)}\n")
             self.value = value
 
-    def next_after(self, newest: int | None, *, trusted: bool) -> int:
-        """The next number to use.
+    def distrust(self) -> None:
+        """The journal may not hold everything that was ever committed to it: go on above all that may have been used.
 
-        Args:
-            newest: the highest number in the journal, None when it is empty or gone.
-            trusted: whether the journal is known to hold everything that was ever committed to it.
+        Durable before anything is done to the journal, for whoever opens what a half-done repair leaves cannot tell.
+
+        Raises:
+            OSError: the disk refuses.
         """
+        if self._floor is None:
+            floor = self.value
+            self.cover(floor + 1)
+            self._floor = floor
+
+    def next_after(self, newest: int | None) -> int:
+        """The next number to use; ``newest`` is the highest one in the journal, None when it is empty or gone."""
         following = (newest or 0) + 1
-        return following if trusted and following > self.value - BLOCK else max(following, self.value + 1)
+        if self._floor is not None:
+            return max(following, self._floor + 1)
+        # In a journal that has everything the newest number lies in the last block that was set apart.
+        return following if following > self.value - BLOCK else self.value + 1
 
 
 class Marks:
