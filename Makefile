@@ -3,7 +3,7 @@ PYTHON ?= python3
 export PYTHON
 BIN = .venv/bin
 
-.PHONY: help demo test lint format bench accuracy faults deb test-platform clean
+.PHONY: help demo test lint format bench accuracy faults audit deb test-platform clean
 
 help:
 	@echo "make demo    a simulated day of one span: the real daemon, a broker, a plot (under out/)"
@@ -14,6 +14,7 @@ help:
 	@echo "make accuracy   errors and coverage over many drawn worlds (an hour; docs/accuracy.md, docs/monte-carlo.md)"
 	@echo "make faults  thousands of faults, and what became of the readings (half an hour; ONLY=kill,disk for parts)"
 	@echo "make test-platform   whole machines, an hour: packages, booted systems, cameras, aarch64 (docs/platform.md; JOBS=2)"
+	@echo "make audit   known holes in the pinned packages, asked of PyPI (or DATABASE=a checkout of its advisories)"
 	@echo "make deb     Debian packages for Bookworm and Trixie, arm64 and amd64 (under build/)"
 	@echo "make clean   remove the environment and everything that was generated"
 
@@ -51,6 +52,10 @@ faults:
 test-platform:
 	@scripts/setup dev
 	@$(BIN)/python tests/platform/lanes.py
+
+audit:
+	@scripts/setup dev
+	@$(BIN)/python scripts/audit.py $(if $(DATABASE),--database $(DATABASE))
 
 deb:
 	@scripts/setup dev
