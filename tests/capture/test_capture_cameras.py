@@ -79,6 +79,7 @@ class StandIn:
         if number > 0:
             raise RuntimeError("No camera number found")
         self.said: list[str] = []
+        self.asked: list[dict[str, object]] = []
         self.camera_controls = {"ExposureTime": (1, 100000, 0), "AnalogueGain": (1, 16, 1), "AeEnable": (0, 1, 1)}
         self.controls: dict[str, object] = {"ExposureTime": 12000, "AnalogueGain": 2.0}
         self.stalled = False
@@ -100,6 +101,7 @@ class StandIn:
 
     def set_controls(self, controls: dict[str, object]) -> None:
         self.said.append(f"controls {sorted(controls)}")
+        self.asked.append(controls)
         self.controls.update({key: value for key, value in controls.items() if value})
 
     def capture_request(self, wait: float) -> StandInRequest:
@@ -173,6 +175,39 @@ def test_the_negotiated_format_is_read_and_the_exposure_locked(stand_in: type[St
     ]
     assert StandInRequest.open_requests == 0
     source.close()
+
+
+def test_white_balance_and_focus_are_held_where_they_have_settled(
+    stand_in: type[StandIn], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    real = stand_in.__init__
+
+    def with_lens(self: StandIn, number: int) -> None:
+        real(self, number)
+        self.camera_controls |= {"AwbEnable": (0, 1, 1), "AfMode": (0, 2, 0), "LensPosition": (0, 15, 1)}
+        self.controls["LensPosition"] = 0.3
+
+    monkeypatch.setattr(stand_in, "__init__", with_lens)
+    source = picamera()
+    source.open()
+    source.burst(2, 0.0)
+    held, freed = stand_in.last.asked
+    assert held == {
+        "AeEnable": False, "ExposureTime": 12000, "AnalogueGain": 2.0,
+        "AwbEnable": False, "ColourGains": (1.5, 2.0), "AfMode": 0, "LensPosition": 0.3,
+    }  # fmt: skip
+    # Day and night differ in light; the intrinsics hold for one focus.
+    assert freed == {"AeEnable": True, "ExposureTime": 0, "AnalogueGain": 0, "AwbEnable": True}
+    source.close()
+
+    fixed = picamera(exposure_us=8000, gain=1.5, lens_position=0.25)
+    fixed.open()
+    assert stand_in.last.config["controls"] == {
+        "ExposureTime": 8000, "AnalogueGain": 1.5, "LensPosition": 0.25, "AeEnable": False, "AfMode": 0,
+    }  # fmt: skip
+    fixed.burst(1, 0.0)
+    assert not {"ExposureTime", "AnalogueGain", "LensPosition"} & set(stand_in.last.asked[0])
+    fixed.close()
 
 
 def test_another_crop_than_asked_for_is_refused(stand_in: type[StandIn], monkeypatch: pytest.MonkeyPatch) -> None:
