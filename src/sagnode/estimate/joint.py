@@ -19,6 +19,7 @@ import numpy as np
 
 from sagnode.geometry.camera import FloatArray, project, projection_derivatives
 from sagnode.geometry.conductor import conductor_derivatives, gravity_direction, load_shapes
+from sagnode.match.robust import median
 from sagnode.survey import CAMERA, LOAD, SAG, SIZE, SWING, Survey
 
 CORRELATED_PX = 0.04
@@ -179,8 +180,8 @@ def solve_camera(survey: Survey, landmarks: LandmarkObservations, iterations: in
         weighted = np.einsum("nik,nij->nkj", jacobian, inverse * weight[:, None, None])
         precision = np.einsum("nkj,njl->kl", weighted, jacobian)
         pull = np.einsum("nkj,nj->k", weighted, residual)
-        step = _scaled_solve(precision + prior, pull - theta[CAMERA] / sigma0**2)
-        if step_number >= 2 and _length(step, np.asarray(np.linalg.inv(precision + prior))) < SETTLED:
+        step, posterior = _scaled_solve(precision + prior, pull - theta[CAMERA] / sigma0**2)
+        if step_number >= 2 and _length(step, posterior) < SETTLED:
             break
         ratio = float(np.max(np.abs(step) / (3 * sigma0)))
         theta[CAMERA] += step / max(1.0, ratio)
@@ -241,11 +242,14 @@ def _robust(z2: FloatArray, limit: float) -> FloatArray:
     return np.asarray(1.0 / (1.0 + z2 / limit**2))
 
 
-def _scaled_solve(matrix: FloatArray, vector: FloatArray) -> FloatArray:
-    """Solution of a normal equation whose unknowns have very different sizes."""
-    scale = np.sqrt(np.diag(matrix))
-    scaled = matrix / (scale[:, None] * scale) + 1e-9 * np.eye(len(scale))
-    return np.asarray(np.linalg.solve(scaled, vector / scale) / scale)
+def _scaled_solve(matrix: FloatArray, vector: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Solution of a normal equation whose unknowns have very different sizes, and the inverse of its matrix."""
+    scale = 1 / np.sqrt(np.diag(matrix))
+    both = scale[:, None] * scale
+    scaled = matrix * both
+    scaled[np.diag_indices_from(scaled)] += 1e-9
+    inverse = np.linalg.inv(scaled)
+    return np.asarray(scale * (inverse @ (scale * vector))), np.asarray(inverse * both)
 
 
 def _length(step: FloatArray, covariance: FloatArray) -> float:
@@ -274,23 +278,24 @@ def solve(
     longest[SAG] = STRIDE[0] * (survey.sag_range[1] - survey.sag_range[0])
     longest[SWING] = min(longest[SWING], STRIDE[1])
     white, correlated = curve.sigma**2, correlated_error(curve.arc, curve.sigma)
-    shared = np.diag(correlated)
+    diagonal = np.diag_indices_from(correlated)
+    shared = correlated[diagonal]
     expected = white + shared
     theta, converged, inflation = start.copy(), False, 1.0
     residual, jacobian = curve_terms(survey, theta, curve)
     for step_number in range(iterations):
-        spread = max(1.4826 * float(np.median(np.abs(residual))), 1e-3) if step_number < 2 else 0.0
+        spread = max(1.4826 * median(np.abs(residual)), 1e-3) if step_number < 2 else 0.0
         weight = _robust(residual**2 / (expected + spread**2), CAUCHY_CURVE)
         noise = white / np.maximum(weight, 1e-6)
         inflation = _inflation(residual, noise + shared, weight)
         own = jacobian[:, free]
-        gain = np.linalg.solve(np.diag(noise) + correlated, np.column_stack([own, residual])).T @ own / inflation
-        normal = known_free + gain[:-1]
-        step = _scaled_solve(normal, target_free - known_free @ theta[free] + gain[-1])
+        together = correlated.copy()
+        together[diagonal] += noise
+        gain = np.linalg.solve(together, np.column_stack([own, residual])).T @ own / inflation
+        step, posterior = _scaled_solve(known_free + gain[:-1], target_free - known_free @ theta[free] + gain[-1])
         theta[free] += step / max(1.0, float(np.max(np.abs(step) / longest)))
         theta[SAG] = min(max(theta[SAG], 0.2 * survey.sag_range[0]), 2 * survey.sag_range[1])
         theta[SWING] = min(max(theta[SWING], -1.4), 1.4)
-        posterior = np.asarray(np.linalg.inv(normal))
         length = _length(step, posterior)
         if length > ANEW:
             residual, jacobian = curve_terms(survey, theta, curve)

@@ -5,6 +5,7 @@ Camera frame (OpenCV's): x right, y down, z forward. Pixels: u right, v down, ce
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -71,12 +72,17 @@ def rotation_from_angles(azimuth_deg: float, elevation_deg: float, roll_deg: flo
 
 def rotation_from_vector(rotation_vector: FloatArray) -> FloatArray:
     """Rodrigues' formula: rotation (3x3) by ``|v|`` radians about ``v`` (3,)."""
-    angle = float(np.linalg.norm(rotation_vector))
-    x, y, z = rotation_vector
-    skew = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    if angle < 1e-12:
-        return np.asarray(np.eye(3) + skew)
-    return np.asarray(np.eye(3) + np.sin(angle) / angle * skew + (1 - np.cos(angle)) / angle**2 * skew @ skew)
+    x, y, z = (float(part) for part in rotation_vector)
+    angle = math.sqrt(x * x + y * y + z * z)
+    # I + a [v]x + b [v]x², and [v]x² = v vᵀ - |v|² I
+    a, b = (math.sin(angle) / angle, (1 - math.cos(angle)) / angle**2) if angle > 1e-12 else (1.0, 0.0)
+    return np.array(
+        [
+            [1 - b * (y * y + z * z), b * x * y - a * z, b * x * z + a * y],
+            [b * x * y + a * z, 1 - b * (x * x + z * z), b * y * z - a * x],
+            [b * x * z - a * y, b * y * z + a * x, 1 - b * (x * x + y * y)],
+        ]
+    )
 
 
 def turned(pose: Pose, rotation_vector: FloatArray, shift: FloatArray) -> Pose:
@@ -99,7 +105,11 @@ def distort(intrinsics: Intrinsics, x: FloatArray, y: FloatArray) -> tuple[Float
         scale = np.where(r > 1e-12, theta_d / np.maximum(r, 1e-12), 1.0)
         return np.asarray(x * scale), np.asarray(y * scale)
     k1, k2, p1, p2, k3, k4, k5, k6 = (*d, *([0.0] * 8))[:8]
-    radial = (1 + r2 * (k1 + r2 * (k2 + r2 * k3))) / (1 + r2 * (k4 + r2 * (k5 + r2 * k6)))
+    radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
+    if k4 or k5 or k6:
+        radial = radial / (1 + r2 * (k4 + r2 * (k5 + r2 * k6)))
+    if not (p1 or p2):
+        return np.asarray(x * radial), np.asarray(y * radial)
     xy = x * y
     xd = x * radial + 2 * p1 * xy + p2 * (r2 + 2 * x * x)
     yd = y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * xy
@@ -161,13 +171,21 @@ def project_camera(intrinsics: Intrinsics, camera: FloatArray) -> tuple[FloatArr
     """Pixels (..., 2) and depths (...) of points (..., 3) of the camera frame, as :func:`project`."""
     depth = camera[..., 2]
     ahead = depth > 1e-9
-    safe = np.where(ahead, depth, 1.0)
+    every = bool(ahead.all())
+    safe = depth if every else np.where(ahead, depth, 1.0)
     x, y = camera[..., 0] / safe, camera[..., 1] / safe
     if any(intrinsics.distortion):
-        ahead = ahead & (x * x + y * y <= intrinsics.reach**2)
-        x, y = distort(intrinsics, np.where(ahead, x, 0.0), np.where(ahead, y, 0.0))
-    pixels = np.stack([intrinsics.fx * x + intrinsics.cx, intrinsics.fy * y + intrinsics.cy], axis=-1)
-    return np.where(ahead[..., None], pixels, np.nan), depth
+        within = x * x + y * y <= intrinsics.reach**2
+        if not within.all():
+            ahead, every = ahead & within, False
+            x, y = np.where(ahead, x, 0.0), np.where(ahead, y, 0.0)
+        x, y = distort(intrinsics, x, y)
+    pixels = np.empty((*depth.shape, 2))
+    pixels[..., 0] = intrinsics.fx * x + intrinsics.cx
+    pixels[..., 1] = intrinsics.fy * y + intrinsics.cy
+    if not every:
+        pixels[~ahead] = np.nan
+    return pixels, depth
 
 
 def projection_derivatives(intrinsics: Intrinsics, pose: Pose, points: FloatArray) -> tuple[FloatArray, FloatArray]:

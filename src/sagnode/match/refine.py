@@ -12,6 +12,7 @@ from sagnode.geometry.camera import FloatArray
 from sagnode.match.bundle import lines
 from sagnode.match.localise import Beside, Blocks, localise_beside
 from sagnode.match.ribbon import arc_length, line_response, normals
+from sagnode.match.robust import median
 from sagnode.match.templates import View, visible_part
 
 WINDOW_PX = 24.0
@@ -212,7 +213,7 @@ def runs_near(track: Track, others: list[FloatArray], half_range: float) -> bool
 def _reach(track: Track, index: NDArray[np.intp], half_range: float) -> FloatArray:
     """Distance across the curve within which another wire disturbs a block at some samples (M,), px."""
     outermost = np.max(np.abs(track.members[:, index]), axis=0)
-    return np.asarray(half_range + 3.0 + 0.5 * float(np.median(track.width)) + outermost)
+    return np.asarray(half_range + 3.0 + 0.5 * median(track.width) + outermost)
 
 
 def _rank(blocks: Blocks, beside: Beside) -> tuple[FloatArray, FloatArray]:
@@ -311,9 +312,9 @@ def sight(image: GreyImage, track: Track) -> Sighting:
     whole = _means(response)
     background = whole[1:][np.isfinite(whole[1:])]
     if len(background) >= 6 and np.isfinite(whole[0]):
-        middle = np.median(background)
-        spread = 1.4826 * np.median(np.abs(background - middle))
-        score = float((whole[0] - middle) / max(float(spread), 0.05))
+        middle = median(background)
+        spread = 1.4826 * median(np.abs(background - middle))
+        score = float((whole[0] - middle) / max(spread, 0.05))
     seen = np.zeros(len(t), dtype=bool)
     for window in _windows(t, arc):
         means = _means(response[:, window])

@@ -28,11 +28,17 @@ Singles = NDArray[np.float32]
 
 def normals(pixels: FloatArray) -> FloatArray:
     """Unit normals (..., N, 2) of polylines (..., N, 2) by central differences along the second-last axis."""
-    tangent = np.gradient(pixels, axis=-2)
-    length = np.linalg.norm(tangent, axis=-1, keepdims=True)
+    tangent = np.empty(pixels.shape)
+    tangent[..., 1:-1, :] = pixels[..., 2:, :] - pixels[..., :-2, :]
+    tangent[..., 0, :] = pixels[..., 1, :] - pixels[..., 0, :]
+    tangent[..., -1, :] = pixels[..., -1, :] - pixels[..., -2, :]
+    along, down = tangent[..., 0], tangent[..., 1]
+    result = np.empty(pixels.shape)
     with np.errstate(invalid="ignore", divide="ignore"):
-        tangent = tangent / length
-    return np.asarray(np.stack([-tangent[..., 1], tangent[..., 0]], axis=-1))
+        shorten = 1 / np.sqrt(along * along + down * down)
+        np.multiply(down, -shorten, out=result[..., 0])
+        np.multiply(along, shorten, out=result[..., 1])
+    return result
 
 
 def arc_length(pixels: FloatArray) -> FloatArray:

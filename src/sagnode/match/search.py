@@ -19,6 +19,7 @@ from sagnode.geometry.conductor import conductor_points, gravity_direction, load
 from sagnode.match.bundle import lines
 from sagnode.match.family import Family, Grid
 from sagnode.match.ribbon import normals, pooled_response
+from sagnode.match.robust import median
 from sagnode.match.shrink import Box, box_around, halved
 from sagnode.match.templates import View, even_parameters
 
@@ -149,10 +150,10 @@ def search(
 
 def _blurred(view: View, family: Family, sag: float, spread: FloatArray) -> bool:
     """Whether the places of most samples are so uncertain, and the wires so wide, that half the pixels show as much."""
-    if float(np.median(spread)) <= 2 * POOL_PX:
+    if median(spread) <= 2 * POOL_PX:
         return False
     _, _, depth = family.pixels(view.intrinsics, np.arange(len(spread)), np.array([sag]), np.zeros(1))
-    return bool(np.median(view.diameter * view.intrinsics.fx / depth) > WIDE_PX)
+    return median((view.diameter * view.intrinsics.fx / depth).ravel()) > WIDE_PX
 
 
 def _reach(

@@ -96,16 +96,17 @@ def visible_part(view: View, sag: float, swing: float, margin: float = 3.0) -> t
     """
     t = _nodes(view)
     pixels, _ = view.pixels(sag, swing, t)
-    first, step = pixels[:-1], np.diff(pixels, axis=0)
+    first, step = pixels[:-1], pixels[1:] - pixels[:-1]
     corner = np.array([view.intrinsics.width - 1.0, view.intrinsics.height - 1.0]) - margin
     # each piece between two nodes is clipped to the frame (Liang and Barsky)
     slope = np.where(np.abs(step) < 1e-9, 1e-9, step)
     with np.errstate(invalid="ignore"):
-        ends = np.stack([(margin - first) / slope, (corner - first) / slope])
-        enter = np.clip(np.min(ends, axis=0).max(axis=1), 0.0, 1.0)
-        leave = np.clip(np.max(ends, axis=0).min(axis=1), 0.0, 1.0)
-        length = np.nan_to_num((leave - enter) * np.hypot(step[:, 0], step[:, 1]))
-    seen = length > 0
+        low, high = (margin - first) / slope, (corner - first) / slope
+        enter = np.maximum(*np.minimum(low, high).T)
+        leave = np.minimum(*np.maximum(low, high).T)
+        enter, leave = (np.minimum(np.maximum(end, 0.0), 1.0) for end in (enter, leave))
+        length = (leave - enter) * np.sqrt(step[:, 0] ** 2 + step[:, 1] ** 2)
+        seen = length > 0
     if not seen.any():
         return np.empty(0), np.empty(0)
     arc = np.concatenate([[0.0], np.cumsum(length[seen])])
