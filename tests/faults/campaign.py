@@ -195,7 +195,7 @@ def main():
     parser.add_argument("--share", type=float, default=1.0, help="this part of the full counts")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--jobs", type=int, default=2, help="sections at once")
-    parser.add_argument("--minutes", type=float, default=90.0, help="what is not finished by then is ended")
+    parser.add_argument("--minutes", type=float, default=60.0, help="what is not finished by then is ended")
     parser.add_argument("--report", type=Path, help="write the document here")
     parser.add_argument("--here", action="store_true", help="run the one section in this process")
     args = parser.parse_args()

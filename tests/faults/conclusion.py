@@ -30,7 +30,8 @@ Sections can be run again one by one (`make faults ONLY=disk`); the tables hold 
 
 NOTES = """
 A reading counts from its commit to the journal. An answer of the worker that was not committed yet when the daemon was
-killed, or told to stop, is no reading; the remarks give their number, at most one burst each time.
+killed, or told to stop, is no reading; the remarks give their number, at most one burst each time. What only memory had
+when the power failed, because the disk was missing, is gone from the journal; the remarks count those too.
 
 ## What the campaign shortens
 
@@ -46,11 +47,12 @@ worker's first restart, the limits of memory, and the commits themselves (`synch
 
 A real SD card's firmware and wear; the brown-outs of a Raspberry Pi; drivers that hang in the kernel (state D); a
 hardware watchdog that fires (`tests/platform` boots machines; here the request for a reboot is the end). The disk of
-the power cuts is a real ext4 over a file in user space that forgets a random half of the sectors that were not flushed.
-It forgets as a card's cache does, but never damages what was flushed, as a worn card may; for that the journal's own
-files are damaged in the rows above. A state directory on a separate disk that is missing when the node starts looks
-like a new node: let systemd wait for the mount (`RequiresMountsFor=`). The month of backlog is a month of readings,
-not of time. Mutilated pictures are judged by whether they are refused or read, not by what is read.
+the power cuts, the virtual machine's too, is a real ext4 over a file in user space that forgets a random half of the
+sectors that were not flushed. It forgets as a card's cache does, but never damages what was flushed, as a worn card
+may; for that the journal's own files are damaged in the rows above. A missing disk is known by `/etc/fstab`, or by the
+mark that the service leaves in the directory that systemd gives it; a node started by hand whose mount stands in
+neither looks like a new one. The month of backlog is a month of readings, not of time. Mutilated pictures are judged by
+whether they are refused or read, not by what is read.
 
 Where it was run: Python {python}, {machine}, {cores} processors with a load of {load:.0f} (times grow with what else
 a machine does), {when}.

@@ -27,6 +27,7 @@ class SmallDisk:
 
     def __init__(self, place, megabytes):
         self.place = place
+        self._aside = place.with_name(f"{place.name}-aside")
         place.mkdir(parents=True)
         command("mount", "-t", "tmpfs", "-o", f"size={megabytes}m", "none", place)
 
@@ -50,10 +51,19 @@ class SmallDisk:
             time.sleep(0.02)
         raise OSError(done.returncode, done.stderr.decode())
 
+    def take_out(self):
+        """The mount point is an empty directory; what is on the disk stays on it."""
+        self._aside.mkdir(exist_ok=True)
+        command("mount", "--move", self.place, self._aside)
+
+    def put_in(self):
+        command("mount", "--move", self._aside, self.place)
+
     def __enter__(self):
         return self
 
     def __exit__(self, *_):
+        subprocess.run(["umount", "-lq", self._aside], check=False, capture_output=True)
         subprocess.run(["umount", "-l", self.place], check=False)
 
 
@@ -105,6 +115,44 @@ def run_read_only(campaign, times):
             rig.last_run()
             title = "disk read-only at the start (EROFS): journal in memory, published, carried over"
             return of(title, times, rig, recovery, gaps=True)
+
+
+def run_missing(campaign, times):
+    """The disk of the state directory is not there when the node starts; an empty mount point is no new node."""
+    directory = campaign.fresh("disk")
+    with SmallDisk(directory / "disk", MEGABYTES) as disk:
+        with Rig(directory, state_dir=disk.place / "state", runtime=True, virtual=False, sets=SOON) as rig:
+            service = directory / "service"  # what systemd gives in any case, on the system's own disk
+            service.mkdir()
+            recovery, broken, forgotten = [], [], set()
+            rig.start(STATE_DIRECTORY=str(service))
+            rig.wait_good(2)
+            for number in range(times):
+                rig.kill()
+                disk.take_out()
+                known = max(rig.witness.sent)
+                rig.start(STATE_DIRECTORY=str(service))
+                rig.wait_for(lambda: (p := rig.page()) and "disk is missing" in p["health"]["journal"], 60)
+                acknowledged_since(rig, time.monotonic())  # published as ever
+                rig.wait_good(2)
+                if number % 3 == 2:  # the power fails meanwhile, and memory with it: these were sent, and are gone
+                    rig.kill()
+                    gone = {n for n in rig.witness.sent if n > known}
+                    shutil.rmtree(rig.runtime / "volatile")
+                    rig.start(STATE_DIRECTORY=str(service))
+                    rig.wait_for(lambda gone=gone: max(rig.witness.sent) > max(gone), 60)
+                    later = min(n for n in rig.witness.sent if n not in gone and n > known)
+                    if later <= max(gone):
+                        broken.append(f"number {later} came after {max(gone)}")
+                    forgotten |= gone
+                disk.put_in()
+                recovery.append(recorded_again(rig))
+            rig.last_run()
+            for number in forgotten:
+                del rig.witness.sent[number]
+            return of("disk missing at the start: journal in memory, published, carried over", times, rig, recovery,
+                      gaps=True, broken=broken,
+                      remark=f"{len(forgotten)} published, and in memory alone when the power failed")  # fmt: skip
 
 
 def run_errors(campaign, times):
@@ -240,6 +288,7 @@ def run(campaign):
         partial(run_full, times=campaign.count(15), kill=False),
         partial(run_full, times=campaign.count(10), kill=True),
         partial(run_read_only, times=campaign.count(10)),
+        partial(run_missing, times=campaign.count(12)),
         partial(run_pictures_give_way, times=campaign.count(10)),
         partial(run_pictures_refused, times=campaign.count(12)),
         partial(run_errors, times=campaign.count(10)),

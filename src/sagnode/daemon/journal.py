@@ -44,14 +44,16 @@ class Journal:
     Args:
         path: the SQLite file; its directory must exist.
         boot_id: of this boot of the machine, to tell a power cut from a killed process; empty when it is not known.
+        counted_elsewhere: another file that keeps the count, for the day on which this disk is missing.
 
     Raises:
         DiskError: the directory cannot be written.
         JournalError: the file is of a later version.
     """
 
-    def __init__(self, path: Path, boot_id: str = "") -> None:
+    def __init__(self, path: Path, boot_id: str = "", counted_elsewhere: Path | None = None) -> None:
         self.path = path
+        self._counted_elsewhere = counted_elsewhere
         self._marks = Marks(path.with_name("open"), boot_id)
         self.note = "ok"
         """What health says of the journal."""
@@ -66,7 +68,7 @@ class Journal:
     def _open_or_mend(self) -> None:
         with self._held():
             self._look_at_the_disk()
-            self._ceiling = Ceiling(self.path.with_name("sequence"))
+            self._ceiling = Ceiling(self.path.with_name("sequence"), self._counted_elsewhere)
             if (aside := put_in_place(self.path)) is not None:
                 self._ceiling.distrust()
                 self._remark(f"was damaged; kept as {aside.name}, a new one was started")

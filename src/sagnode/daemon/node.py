@@ -21,7 +21,7 @@ from sagnode.daemon.loop import Ending, Loop, Orders, Parts
 from sagnode.daemon.machine import Machine
 from sagnode.daemon.past import configured_trend, recent_readings
 from sagnode.daemon.pictures import Pictures
-from sagnode.daemon.places import runtime_directory, state_directory
+from sagnode.daemon.places import other_service_state, runtime_directory, state_directory
 from sagnode.daemon.recorder import Recorder
 from sagnode.daemon.reload import Reloader
 from sagnode.daemon.schedule import Schedule
@@ -78,7 +78,8 @@ def _schedule(node: Node) -> Schedule:
 
 
 def _stores(loaded: LoadedNode) -> Stores:
-    return Stores(state_directory(loaded.node.storage.state_dir), runtime_directory(), Machine().boot_id())
+    state_dir = state_directory(loaded.node.storage.state_dir)
+    return Stores(state_dir, runtime_directory(), Machine().boot_id(), other_service_state(state_dir))
 
 
 def _run_once(

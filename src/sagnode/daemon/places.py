@@ -19,8 +19,18 @@ def state_directory(configured: Path | None) -> Path:
     """Of the configuration, else systemd's, else the user's."""
     if configured is not None:
         return configured
+    return _given_state() or Path.home() / ".local" / "state" / "sagnode"
+
+
+def other_service_state(state_dir: Path) -> Path | None:
+    """The state directory that systemd gives, where the configuration names another one."""
+    given = _given_state()
+    return given if given is not None and given.absolute() != state_dir.absolute() else None
+
+
+def _given_state() -> Path | None:
     given = os.environ.get("STATE_DIRECTORY", "").partition(":")[0]
-    return Path(given) if given else Path.home() / ".local" / "state" / "sagnode"
+    return Path(given) if given else None
 
 
 def runtime_directory() -> Path | None:

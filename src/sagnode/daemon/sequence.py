@@ -26,11 +26,14 @@ class Ceiling:
 
     Args:
         path: where it is kept; two copies, so that one damaged file is no harm.
+        elsewhere: where it is kept too, on another disk, as far as that one takes it.
     """
 
-    def __init__(self, path: Path) -> None:
-        self._paths = (path, path.with_name(path.name + ".copy"))
-        self.value = max((_read(p) for p in self._paths), default=0)
+    def __init__(self, path: Path, elsewhere: Path | None = None) -> None:
+        self._paths = _copies(path)
+        self._elsewhere = _copies(elsewhere) if elsewhere else ()
+        self._here = max(_read(p) for p in self._paths)
+        self.value = max(self._here, *(_read(p) for p in self._elsewhere), 0)
         """Numbers up to this one may have been used; 0 on a new node."""
         self._floor: int | None = None
 
@@ -40,11 +43,15 @@ class Ceiling:
         Raises:
             OSError: the disk refuses; the number must not be used.
         """
-        if number > self.value:
-            value = -(-number // BLOCK) * BLOCK
+        if number > self._here:
+            value = max(self.value, -(-number // BLOCK) * BLOCK)
+            text = f"{value} {_check(value)}\n"
             for path in self._paths:
-                write_atomic(path, f"{value} {_check(value)}\n")
-            self.value = value
+                write_atomic(path, text)
+            with contextlib.suppress(OSError):
+                for path in self._elsewhere:
+                    write_atomic(path, text)
+            self.value = self._here = value
 
     def distrust(self) -> None:
         """The journal may not hold everything that was ever committed to it: go on above all that may have been used.
@@ -96,6 +103,10 @@ class Marks:
         if self._boot_id:
             with contextlib.suppress(OSError):
                 self._path.unlink(missing_ok=True)
+
+
+def _copies(path: Path) -> tuple[Path, Path]:
+    return path, path.with_name(path.name + ".copy")
 
 
 def _read(path: Path) -> int:

@@ -19,6 +19,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from sagnode.daemon.journal import Journal
+from sagnode.daemon.own_disk import FSTAB, OwnDisk
 from sagnode.daemon.places import JOURNAL
 from sagnode.daemon.sequence import BLOCK, Ceiling
 from sagnode.errors import DiskError, JournalError, SagnodeError
@@ -31,7 +32,8 @@ DISTRUST_AFTER_S = 60.0
 """A state directory that refused readings for so long is left."""
 LOOK_AGAIN_S = 60.0
 _PROBE_BYTES = 1_000_000
-_JUMP_MAX = 10**6
+_NUMBERS_A_MINUTE = 10**8
+"""Far more than anybody measures; and 2**53, the greatest number of JSON, is more than a century of them away."""
 
 
 @dataclass(frozen=True)
@@ -52,11 +54,22 @@ class Stores:
         state_dir: the state directory.
         runtime_dir: the directory in memory, None where there is none.
         boot_id: of this boot of the machine.
+        service_dir: the service's own directory on the system's disk, where the state directory is another one.
+        fstab: what is to be mounted, as in fstab(5).
     """
 
-    def __init__(self, state_dir: Path, runtime_dir: Path | None, boot_id: str = "") -> None:
+    def __init__(
+        self,
+        state_dir: Path,
+        runtime_dir: Path | None,
+        boot_id: str = "",
+        service_dir: Path | None = None,
+        fstab: Path = FSTAB,
+    ) -> None:
         self._boot_id = boot_id
         self.state_dir = state_dir
+        self._own_disk = OwnDisk(state_dir, service_dir, fstab)
+        self._counted_elsewhere = service_dir / "sequence" if service_dir else None
         self._volatile_dir = runtime_dir / "volatile" if runtime_dir else None
         self._distrusted = False
         self._open: Store | None = None
@@ -106,9 +119,11 @@ class Stores:
             return self._in_memory(stack, self._volatile_dir, f"{self.state_dir} refuses to be written")
         try:
             with contextlib.ExitStack() as attempt:
+                self._own_disk.expect()
                 attempt.enter_context(alone(self.state_dir))
                 self._expect_the_same_disk()
-                journal = Journal(self.state_dir / JOURNAL, self._boot_id)
+                journal = self._journal_at_home()
+                self._own_disk.found()
                 self._counted = max(1, Ceiling(self.state_dir / "sequence").value)
                 try:
                     self._carry_over(journal)
@@ -122,6 +137,9 @@ class Stores:
                 raise
             return self._in_memory(stack, self._volatile_dir, str(error))
 
+    def _journal_at_home(self) -> Journal:
+        return Journal(self.state_dir / JOURNAL, self._boot_id, self._counted_elsewhere)
+
     def _expect_the_same_disk(self) -> None:
         """An empty mount point must not pass for the disk that was there; one put in again may bear another number."""
         device = self.state_dir.stat().st_dev
@@ -133,11 +151,9 @@ class Stores:
         stack.enter_context(alone(directory))
         try:
             if not (directory / "sequence").exists():
-                # The true count cannot be moved on now. A random leap, for two such times must not meet either.
-                known = Ceiling(self.state_dir / "sequence").value
-                leap = random.randrange(1, _JUMP_MAX) * _JUMP_MAX  # noqa: S311 - not for secrecy
-                Ceiling(directory / "sequence").cover(-(-known // BLOCK) * BLOCK + leap)
-            journal = Journal(directory / JOURNAL)
+                known = Ceiling(self.state_dir / "sequence", self._counted_elsewhere).value
+                Ceiling(directory / "sequence", self._counted_elsewhere).cover(_leap_over(known, time.time()))
+            journal = Journal(directory / JOURNAL, counted_elsewhere=self._counted_elsewhere)
         except OSError as error:
             raise SagnodeError(f"{directory}: {error.strerror}", "free memory, or mend the state directory") from error
         journal.note = f"kept in memory and lost with the power, because {why}"
@@ -162,6 +178,7 @@ class Stores:
         """Whether the state directory takes a megabyte besides what is to come home, and its journal can be opened."""
         probe = self.state_dir / "probe"
         try:
+            self._own_disk.expect()
             with alone(self.state_dir):
                 self._expect_the_same_disk()
                 # Half a homecoming on a disk that is full again after it would end all recording there.
@@ -172,12 +189,27 @@ class Stores:
                     stream.flush()
                     os.fsync(stream.fileno())
                 probe.unlink()
-                Journal(self.state_dir / JOURNAL).close()
+                self._journal_at_home().close()
         except (OSError, JournalError, SagnodeError):
             with contextlib.suppress(OSError):
                 probe.unlink(missing_ok=True)
             return False
         return True
+
+
+def _leap_over(known: int, now_s: float) -> int:
+    """Where numbers go on whose count cannot be kept: above those of any earlier such time, and never the same ones.
+
+    A machine without a clock of its own begins each boot at a time that was once saved, perhaps the same one again; so
+    there is chance in it too.
+
+    Args:
+        known: numbers up to this one may have been used.
+        now_s: seconds since 1970, by a clock that may be wrong.
+    """
+    floor = -(-known // BLOCK) * BLOCK
+    chance = random.randrange(1, _NUMBERS_A_MINUTE // BLOCK) * BLOCK  # noqa: S311 - not for secrecy
+    return max(floor, int(now_s // 60) * _NUMBERS_A_MINUTE) + chance
 
 
 @contextlib.contextmanager

@@ -12,7 +12,10 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from sagnode.daemon.journal_file import SCHEMA_VERSION
+from sagnode.daemon.own_disk import OwnDisk
+from sagnode.daemon.places import SERVICE_STATE
 from sagnode.doctor.findings import Finding, fault, ok, skipped, warning
+from sagnode.errors import DiskError
 
 SERVICE_USER = "sagnode"
 ROOM_MB = 500.0
@@ -29,6 +32,12 @@ def check_state(state_dir: Path, *, running: bool) -> Iterator[Finding]:
         state_dir: of the node; it need not exist yet where its parent may be written to.
         running: whether a daemon holds it now; its journal is then in use and only looked at.
     """
+    other = SERVICE_STATE if SERVICE_STATE.is_dir() and state_dir.absolute() != SERVICE_STATE else None
+    try:
+        OwnDisk(state_dir, other).expect()
+    except DiskError as error:
+        yield fault(_DIRECTORY, error.what, error.remedy)
+        return
     yield _directory(state_dir)
     yield _space(state_dir)
     yield _journal(state_dir / "journal.sqlite", running=running)
