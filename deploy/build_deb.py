@@ -18,6 +18,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
+from concurrent.futures import ThreadPoolExecutor
 from datetime import UTC, datetime
 from email.utils import format_datetime
 from pathlib import Path
@@ -163,9 +164,10 @@ def main() -> int:
     if shutil.which("dpkg-deb") is None:
         sys.exit("dpkg-deb is not on this machine: build on Debian, or apt install dpkg")
     os.umask(0o022)
-    for name in args.suite or SUITES:
-        for arch in args.arch or MACHINES:
-            file = build(SUITES[name], arch, args.out)
+    wanted = [(SUITES[name], arch) for name in args.suite or SUITES for arch in args.arch or MACHINES]
+    # pip and dpkg-deb do the work, each on one processor.
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        for file in pool.map(lambda one: build(*one, args.out), wanted):
             print(f"{file}: {file.stat().st_size / 1e6:.0f} MB", flush=True)
     return 0
 

@@ -72,22 +72,22 @@ ok 'sagnode-enrol is there, and asks for a certificate of this unit'"'"'s name'
 printf 'memory %s MB, tasks %s\n' "$(($(systemctl show --value -p MemoryCurrent sagnode | grep -x '[0-9]*' || echo 0) / 1000000))" \
 	"$(systemctl show --value -p TasksCurrent sagnode)"
 
-until_true 30 'readings reach the journal' readings_are_kept
+until_true 120 'readings reach the journal' readings_are_kept
 sleep 3
 
 before=$(main_pid)
 worker=$(worker_pid)
 [ -n "$worker" ] || fail 'no worker process'
 kill -9 "$worker"
-until_true 30 'a killed worker is replaced' other_worker "$worker"
+until_true 120 'a killed worker is replaced' other_worker "$worker"
 [ "$(main_pid)" = "$before" ] || fail 'the daemon ended with its worker'
 ok 'and the daemon lives on'
 
 kill -9 "$before"
-until_true 30 'a killed daemon is started again' is_another "$before"
+until_true 120 'a killed daemon is started again' is_another "$before"
 before=$(main_pid)
 kill -STOP "$before"
-until_true 60 'a hung daemon is ended by the watchdog and started again' is_another "$before"
+until_true 240 'a hung daemon is ended by the watchdog and started again' is_another "$before"
 systemctl show -p Result -p NRestarts sagnode
 
 before=$(main_pid)
@@ -103,7 +103,7 @@ journal_rows() { journal 'SELECT count(*) FROM readings'; }
 update() { SETTLE_S=5 bash /packages/install.sh --from "/packages/$1.deb" >/root/update.log 2>&1; }
 systemctl start sagnode
 first=$(version)
-until_true 30 'readings are made' readings_are_kept
+until_true 120 'readings are made' readings_are_kept
 began=$SECONDS
 update good || fail "an update that should succeed: $(cat /root/update.log)"
 [ "$(version)" = 0.90.1 ] && systemctl is-active --quiet sagnode || fail "after the update: $(version)"

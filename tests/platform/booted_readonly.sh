@@ -8,9 +8,9 @@ export PAUSE_S=1
 for place in /etc /usr /var/lib /var/log /root; do
 	! touch "$place/written" 2>/dev/null || fail "$place can be written to, so that this shows nothing"
 done
-until_true 60 'on a root that is read-only the service came up by itself' systemctl is-active --quiet sagnode
+until_true 240 'on a root that is read-only the service came up by itself' systemctl is-active --quiet sagnode
 so_far=$(journal "SELECT count(*) FROM readings WHERE validity = 'good'")
-until_true 60 'and makes readings' good $((so_far + 3))
+until_true 240 'and makes readings' good $((so_far + 3))
 sagnode status >/dev/null || fail 'no status'
 [ "$(restarts)" = 0 ] || fail 'systemd restarted the daemon'
 ! journalctl --no-pager -b -u sagnode -o cat | grep -i 'read-only file system' || fail 'it wanted to write elsewhere'

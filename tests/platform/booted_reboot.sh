@@ -26,7 +26,7 @@ ask)
 	;;
 after)
 	[ "$(systemctl is-enabled sagnode)" = enabled ] || fail 'the service is not enabled'
-	until_true 60 'no camera: the service was started anew, then the machine; the service is up again by itself' \
+	until_true 240 'no camera: the service was started anew, then the machine; the service is up again by itself' \
 		systemctl is-active --quiet sagnode
 	[ "$(recovery reboots)" = 1 ] || fail "restarts of the machine that are remembered: $(recovery reboots)"
 	[ ! -e /run/sagnode/reboot-wanted ] || fail 'the request is still there'

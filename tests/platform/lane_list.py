@@ -42,6 +42,8 @@ PACKAGES = {
     "busybox": "busybox-static",
     "mke2fs": "e2fsprogs",
     "dpkg-deb": "dpkg",
+    "ansible-playbook": "ansible-core",
+    "ssh-keygen": "openssh-client",
 }
 QUICK_S = 600.0
 """For the lanes of continuous integration: several times what they take."""
@@ -138,6 +140,22 @@ def lanes() -> tuple[Lane, ...]:
             quick=True,
         ),
         _in_root("picamera2", "the real Picamera2 over libcamera's virtual cameras", "trixie", "picamera2", quick=True),
+        Lane(
+            "image",
+            f"the root of the image's recipe, by rpi-image-gen's layers and hooks, {emulated}",
+            (("bash", f"{HERE}/image.sh"),),
+            (*EMULATED, "bdebstrap", "rsync", "ssh-keygen"),
+            uses=frozenset({"image"}),
+            after=("packages",),
+        ),
+        Lane(
+            "fleet",
+            "the Ansible role: linted, applied, fed a bad configuration, renewed; cloud-init's check of the first boot",
+            ((sys.executable, "-m", "pytest", "tests/deploy/test_ansible.py", "tests/deploy/test_image.py"),),
+            ("ansible-playbook", "ansible-lint", "cloud-init", "openssl"),
+            (("SAGNODE_ANSIBLE", "1"),),
+            root=False,
+        ),
         Lane(
             "package-here",
             "the package of this very system unpacked: its size, a reading, lintian",

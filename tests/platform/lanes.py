@@ -106,7 +106,9 @@ def _shown(lines: list[str]) -> Iterator[str]:
     for line in lines:
         if re.match(r"(ok    \S|FAIL  )", line):
             yield re.sub(r"\s+", " ", line.removeprefix("ok    "))
-        elif re.match(r"systemd \d+, Python|.*\.deb: \d+ MB|readings of|stalled:|reopened|scenes:|→ Overall", line):
+        elif re.match(
+            r"systemd \d+, Python|.*\.deb: \d+ MB|readings of|stalled:|reopened|scenes:|→ Overall|\d+ passed", line
+        ):
             yield line.replace(f"{ROOT}/", "").strip()
 
 

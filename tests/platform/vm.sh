@@ -103,14 +103,14 @@ make_image() {
 	# As if made just now: without this systemd rebuilds its caches at the first boot of every throw-away copy.
 	printf 'x\nTIMESTAMP_NSEC=%s000000000\n' "$(($(date +%s) + 60))" | tee "$ROOT/etc/.updated" >"$ROOT/var/.updated"
 	rm -f "$DISK"
-	nice mke2fs -q -F -t ext4 -d "$ROOT" "$DISK" 5G
+	mke2fs -q -F -t ext4 -d "$ROOT" "$DISK" 5G
 	ls -l --block-size=M "$DISK" "$INITRD" "$KERNEL"
 }
 
 # Its clock counts instructions, one a nanosecond, so that no other work on this machine makes it seem slow: one core that
 # does 1000 million instructions a second, which is less than one of a Raspberry Pi 4 does.
 boot_machine() {
-	nice -n 15 timeout "$LIMIT_S" qemu-system-x86_64 -accel tcg,thread=single,tb-size=512 -icount shift=0,sleep=on \
+	timeout "$LIMIT_S" qemu-system-x86_64 -accel tcg,thread=single,tb-size=512 -icount shift=0,sleep=on \
 		-cpu Nehalem -M q35 -m 2048 -smp 1 -nographic -no-reboot -nodefaults -serial stdio \
 		-kernel "$KERNEL" -initrd "$INITRD" \
 		-append 'console=ttyS0 quiet panic=-1 mitigations=off rw systemd.wants=job.service' \
