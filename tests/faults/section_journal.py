@@ -4,11 +4,14 @@ No number may be wrong and none be given out twice. A reading may be gone only w
 reading whose text is still whole in the damaged files must be found again.
 """
 
+import contextlib
 import json
 import logging
 import re
 import shutil
 import sqlite3
+import subprocess
+import sys
 import time
 from collections import Counter
 from datetime import UTC, datetime
@@ -18,6 +21,8 @@ from coded import is_true
 from section_backlog import coded_reading, fill
 from steps import killed_before, lines_of
 from table import Line
+from volatile_disk import VolatileDisk, available
+from volatile_disk import run as run_program
 
 from sagnode.daemon.journal import Journal
 from sagnode.daemon.journal_file import checksum
@@ -25,6 +30,9 @@ from sagnode.daemon.sequence import BLOCK
 
 COUNT = 600
 KILLS = 200
+CUTS = 60
+CUTS_AT_ONCE = 8
+MEGABYTES = 24
 READINGS = 120
 _BEGIN = re.compile(rb'\{"schema_version":')
 _SEQUENCE = re.compile(rb'"sequence":(\d+)')
@@ -90,6 +98,8 @@ def run(campaign):
                    total["whole"] - total["found"], 0, total["false"], recovery=recovery, limit_s=60.0, broken=broken,
                    remark=f"{total['destroyed']} of {times * len(texts)} destroyed with their bytes")  # fmt: skip
     yield killed_while_it_mends(campaign, original, texts, stored)
+    if not available():
+        yield cut_while_it_mends(campaign, original, texts, stored)
 
 
 def killed_while_it_mends(campaign, original, texts, stored):
@@ -119,6 +129,61 @@ def killed_while_it_mends(campaign, original, texts, stored):
                 total["found"], total["whole"] - total["found"], 0, total["false"], recovery=recovery, limit_s=60.0,
                 broken=broken, remark=f"at {len(lines)} different lines of the code; {total['destroyed']} of"
                 f" {times * len(texts)} destroyed with their bytes")  # fmt: skip
+
+
+def cut_while_it_mends(campaign, original, texts, stored):
+    """The same on a disk that forgets: how it would be found if the power failed at moments of the repair."""
+    times, total, broken, recovery, looked = campaign.count(CUTS), Counter(), [], [], 0
+    while looked < times:
+        directory = campaign.fresh("journal")
+        with VolatileDisk(directory / "disk", MEGABYTES, campaign.random) as disk:
+            state = disk.place / "state"
+            shutil.copytree(original, state)
+            target = state / campaign.random.choice(("journal.sqlite", "journal.sqlite-wal"))
+            campaign.random.choice(list(DAMAGES.values()))(campaign.random, data := bytearray(target.read_bytes()))
+            target.write_bytes(data)
+            whole = whole_in(raw_of(state), stored)
+            run_program("sync", "-f", state)
+            images = images_while_it_mends(campaign, disk, state)
+        for image in images[: times - looked]:
+            looked += 1
+            began = time.monotonic()
+            with mounted(directory, image) as place:
+                found, wrong = reopened(place / "state", texts, stored, whole)
+            recovery.append(time.monotonic() - began)
+            broken += [f"power cut number {looked}: {text}" for text in wrong]
+            total.update(found)
+    return Line("journal", "journal damaged, and the power cut while it is mended", looked, total["whole"],
+                total["found"], total["whole"] - total["found"], 0, total["false"], recovery=recovery, limit_s=60.0,
+                broken=broken,
+                remark=f"{total['destroyed']} of {looked * len(texts)} destroyed with their bytes")  # fmt: skip
+
+
+def images_while_it_mends(campaign, disk, state):
+    """What would be found if the power failed, from the moment on in which the journal is opened."""
+    words = (
+        "import sys; from pathlib import Path; from sagnode.daemon.journal import Journal; print(flush=True);"
+        "Journal(Path(sys.argv[1]), 'boot-2').close()"
+    )
+    images = []
+    with subprocess.Popen([sys.executable, "-c", words, state / "journal.sqlite"], stdout=subprocess.PIPE) as mender:
+        mender.stdout.read(1)
+        while mender.poll() is None and len(images) < CUTS_AT_ONCE:
+            images.append(disk.cut())
+            time.sleep(campaign.random.uniform(0.0, 0.06))
+    return images
+
+
+@contextlib.contextmanager
+def mounted(directory, image):
+    file, place = directory / "cut.img", directory / "cut"
+    file.write_bytes(image)
+    place.mkdir(exist_ok=True)
+    run_program("mount", "-o", "loop", file, place)
+    try:
+        yield place
+    finally:
+        run_program("umount", place)
 
 
 def opened_and_closed(place, boot_id):
@@ -186,7 +251,7 @@ def reopened(place, texts, stored, whole=None):
         wrong.append(f"the count leapt to {journal.next_sequence}")
     journal.pending(0, 10_000)  # what fails its checksum is set aside
     journal.close()
-    with sqlite3.connect(place / "journal.sqlite") as db:
+    with contextlib.closing(sqlite3.connect(place / "journal.sqlite")) as db:
         rows = list(db.execute("SELECT sequence, json FROM readings WHERE fate <> 'damaged'"))
     false = sum(1 for sequence, text in rows if texts.get(sequence) != text or not is_true(json.loads(text)))
     found = whole & {sequence for sequence, _ in rows}

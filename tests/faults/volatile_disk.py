@@ -19,6 +19,8 @@ import time
 from pathlib import Path
 
 SECTOR = 512
+SUPERBLOCK = (2, 3)
+"""ext4 counts on it that these are written in one piece: half of them is nothing that it can mount without e2fsck."""
 FILE_INODE = 2
 NAME = b"disk"
 _IN = struct.Struct("<IIQQIIII")
@@ -84,8 +86,9 @@ class VolatileFile:
         """The disk as it would be found if the power failed now: bytes of the whole image."""
         with self._lock:
             image = bytearray(self.durable)
+            superblock = self.random.random() < 0.5
             for sector, content in self.unflushed.items():
-                if self.random.random() < 0.5:
+                if superblock if sector in SUPERBLOCK else self.random.random() < 0.5:
                     image[sector * SECTOR : (sector + 1) * SECTOR] = content
             return image
 
