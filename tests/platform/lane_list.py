@@ -74,7 +74,7 @@ def _in_root(
 
 
 def lanes() -> tuple[Lane, ...]:
-    """All of them, in the order in which they are begun and told: what takes long comes first."""
+    """All of them, in the order in which they are begun and told."""
     boot = "cold boot to the first reading, hardware watchdog, doctor; a stalled camera; V4L2 on vivid and v4l2loopback"
     lint = "printf '%s\\n' build/sagnode_*.deb | xargs -n 1 -P 2 lintian --fail-on error,warning"
     root = () if (WORK / "trixie-vm").is_dir() else (_bare("trixie", "root"),) * (not (WORK / "trixie").is_dir())
@@ -141,14 +141,6 @@ def lanes() -> tuple[Lane, ...]:
         ),
         _in_root("picamera2", "the real Picamera2 over libcamera's virtual cameras", "trixie", "picamera2", quick=True),
         Lane(
-            "image",
-            f"the root of the image's recipe, by rpi-image-gen's layers and hooks, {emulated}",
-            (("bash", f"{HERE}/image.sh"),),
-            (*EMULATED, "bdebstrap", "rsync", "ssh-keygen"),
-            uses=frozenset({"image"}),
-            after=("packages",),
-        ),
-        Lane(
             "fleet",
             "the Ansible role: linted, applied, fed a bad configuration, renewed; cloud-init's check of the first boot",
             ((sys.executable, "-m", "pytest", "tests/deploy/test_ansible.py", "tests/deploy/test_image.py"),),
@@ -163,6 +155,14 @@ def lanes() -> tuple[Lane, ...]:
             (),
             root=False,
             limit_s=QUICK_S,
+        ),
+        Lane(
+            "image",
+            f"the root of the image's recipe, by rpi-image-gen's layers and hooks, {emulated}",
+            (("bash", f"{HERE}/image.sh"),),
+            (*EMULATED, "bdebstrap", "rsync", "ssh-keygen"),
+            uses=frozenset({"image"}),
+            after=("packages",),
         ),
     )
 
