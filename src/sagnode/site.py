@@ -19,8 +19,8 @@ from sagnode.geometry.bundle import sub_conductor_offsets
 from sagnode.geometry.camera import FloatArray, Intrinsics, Pose, rotation_from_angles
 from sagnode.geometry.ground import GroundProfile
 from sagnode.geometry.quantities import Stringing
-from sagnode.match.landmarks import Patch, cut_patch
 from sagnode.match.lens import Cells, cells
+from sagnode.match.patches import Patch, cut_patch
 from sagnode.survey import Survey
 
 

@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 
 from sagnode.geometry.camera import project
-from sagnode.match.landmarks import cut_patch, track
+from sagnode.match.landmarks import track
+from sagnode.match.patches import cut_patch
 from sagnode.scene.presets import simple_scene
 from sagnode.scene.render import render
 from sagnode.scene.spec import Moment, Scene

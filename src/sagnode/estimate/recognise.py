@@ -11,8 +11,10 @@ from numpy.typing import NDArray
 from sagnode.capture.port import GreyImage
 from sagnode.estimate.movement import SEEN_U_PX, Anchor, anchored, movement
 from sagnode.geometry.camera import FloatArray
+from sagnode.match.agreement import is_chance
 from sagnode.match.appearances import FOUND_U_PX, Appearance, Appearances, sightings
-from sagnode.match.landmarks import Peak, Tracked, consensus, peaks, refine
+from sagnode.match.landmarks import Tracked, consensus, refine
+from sagnode.match.patches import Peak, peaks
 from sagnode.site import Site
 
 FORETOLD_PX = 3.0
@@ -87,6 +89,12 @@ def _anew(site: Site, anchor: Anchor, image: GreyImage, tracked: Tracked, kept: 
     if not seen.any():
         return tracked
     found = {i: peak for i, peak in chosen.items() if seen[i]}
+    used = [
+        by[i][found[i]].patch(clicked) if i in found and found[i] in by[i] else patch
+        for i, (patch, clicked) in enumerate(zip(patches, site.landmark_clicks, strict=True))
+    ]
+    if is_chance(image, used, options, found, reach):
+        return tracked
     plain = seen & np.array([i in found and found[i] not in by[i] for i in range(len(kept))], dtype=bool)
     places = {i: (pixels[i], float(errors[i]), by[i][peak]) for i, peak in found.items() if peak in by[i]}
     return _with_found(replace(tracked, pixels=pixels, sigma=errors), plain, places)

@@ -27,7 +27,8 @@ from sagnode.match.appearances import (
     proven_again,
     with_added,
 )
-from sagnode.match.landmarks import Tracked, peaks, refine
+from sagnode.match.landmarks import Tracked, refine
+from sagnode.match.patches import peaks
 from sagnode.site import Site
 
 TEACHERS_MIN = 4

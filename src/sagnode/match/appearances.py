@@ -15,7 +15,7 @@ import numpy as np
 
 from sagnode.capture.port import GreyImage
 from sagnode.geometry.camera import FloatArray
-from sagnode.match.landmarks import MIN_TEXTURE, Patch, Peak, peaks
+from sagnode.match.patches import MIN_TEXTURE, Patch, Peak, peaks
 
 KEPT_MAX = 6
 """Appearances a landmark."""

@@ -17,32 +17,13 @@ from numpy.typing import NDArray
 
 from sagnode.capture.port import GreyImage
 from sagnode.geometry.camera import FloatArray
+from sagnode.match.agreement import LEAST_BASELINE_PX, MOST_SCALED, MOST_TURNED, is_chance
+from sagnode.match.patches import Patch, Peak, peaks
 
-NCC_MIN = 0.55
-"""Least correlation of a landmark with its patch; chance company is left to the consensus to refuse."""
 AGREE_PX = 4.0
 """Landmarks that differ more than this from the shared shift, turn and scale are no longer themselves."""
-LEAST_BASELINE_PX = 50.0
-"""Distance of two landmarks below which they cannot tell turn and scale."""
-MOST_SCALED, MOST_TURNED = 0.05, 0.15
-"""Greatest change of scale, and turn (rad), of a camera that still looks at the same thing."""
 TRACK_U_PX = 0.06
 """Standard uncertainty of a tracked position for a clear landmark."""
-MIN_TEXTURE = 2.0
-"""Standard deviation in grey levels below which a patch holds nothing to recognise."""
-
-
-@dataclass(frozen=True)
-class Patch:
-    """A landmark as it looked in the reference picture.
-
-    Attributes:
-        pixel: where it was clicked (2,).
-        image: the square around the rounded click, odd side.
-    """
-
-    pixel: FloatArray
-    image: GreyImage
 
 
 @dataclass(frozen=True)
@@ -71,21 +52,6 @@ class Tracked:
         return int(self.found.sum())
 
 
-def cut_patch(reference: GreyImage, pixel: tuple[float, float], size_px: int) -> Patch | None:
-    """The patch of a landmark, or None where it reaches over the edge or holds no texture."""
-    half = size_px // 2
-    u, v = round(pixel[0]), round(pixel[1])
-    height, width = reference.shape
-    if u < half or v < half or u > width - 1 - half or v > height - 1 - half:
-        return None
-    image = reference[v - half : v + half + 1, u - half : u + half + 1].copy()
-    return Patch(np.array(pixel), image) if float(image.std()) >= MIN_TEXTURE else None
-
-
-Peak = tuple[float, float, float]
-"""A place where a patch may be: (du, dv) from where it was clicked, whole pixels, and its correlation there."""
-
-
 def track(frame: GreyImage, patches: list[Patch | None], reach_px: float) -> Tracked:
     """Find patches within ``reach_px`` of where they were clicked.
 
@@ -101,6 +67,8 @@ def track(frame: GreyImage, patches: list[Patch | None], reach_px: float) -> Tra
         best[i] = max((p[2] for p in found_peaks), default=0.0)
     found = np.zeros(n, dtype=bool)
     chosen = consensus(patches, options)
+    if is_chance(frame, patches, options, chosen, reach_px):
+        chosen = {}
     for i, peak in chosen.items():
         patch = patches[i]
         if patch is None:
@@ -109,29 +77,6 @@ def track(frame: GreyImage, patches: list[Patch | None], reach_px: float) -> Tra
         pixels[i], sigma[i], found[i] = refined, error, True
     visible = np.array([p is not None for p in patches], dtype=bool)
     return Tracked(pixels, sigma, best, found, visible)
-
-
-def peaks(frame: GreyImage, patch: Patch, reach_px: float, ncc_min: float = NCC_MIN) -> list[Peak]:
-    """Up to five places of a patch within ``reach_px`` of its click, correlation at least ``ncc_min``, best first."""
-    half, reach = patch.image.shape[0] // 2, int(np.ceil(reach_px))
-    u, v = round(float(patch.pixel[0])), round(float(patch.pixel[1]))
-    height, width = frame.shape
-    left, top = max(0, u - half - reach), max(0, v - half - reach)
-    right, bottom = min(width, u + half + reach + 1), min(height, v + half + reach + 1)
-    window = frame[top:bottom, left:right]
-    if window.shape[0] < patch.image.shape[0] or window.shape[1] < patch.image.shape[1]:
-        return []
-    score = cv2.matchTemplate(window, patch.image, cv2.TM_CCOEFF_NORMED)
-    score = np.where(np.isfinite(score), score, 0.0)
-    places: list[Peak] = []
-    for _ in range(5):
-        row, column = np.unravel_index(int(np.argmax(score)), score.shape)
-        value = float(score[row, column])
-        if value < ncc_min:
-            break
-        places.append((float(left + column + half - u), float(top + row + half - v), value))
-        score[max(0, row - 3) : row + 4, max(0, column - 3) : column + 4] = -1.0
-    return places
 
 
 def consensus(patches: Sequence[Patch | None], options: Sequence[Sequence[Peak]]) -> dict[int, Peak]:
