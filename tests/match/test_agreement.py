@@ -70,7 +70,7 @@ def test_landmarks_that_share_pixels_are_one() -> None:
     image = smooth_noise(3)
     beside = [(300.0 + 8 * k, 200.0) for k in range(5)]
     patches = patches_of(image, [*beside, (500.0, 100.0)])
-    chosen = {i: (2.0, 1.0, 0.99) for i in range(5)}
+    chosen = dict.fromkeys(range(5), (2.0, 1.0, 0.99))
     places = {i: patch for i in chosen if (patch := patches[i]) is not None}
     offered = dict.fromkeys(chosen, 1.0)
     assert expected_by_chance(patches, places, chosen, offered, REACH) > 1e-4

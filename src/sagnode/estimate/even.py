@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from sagnode.capture.port import GreyImage
-from sagnode.estimate.matched import STAGES, Matched, attachment_z, refine, remaining_stages, view_of
+from sagnode.estimate.matched import STAGES, Matched, attachment_z, completed, refine, remaining_stages, view_of
 from sagnode.estimate.register import Registered
 from sagnode.geometry.camera import FloatArray
 from sagnode.geometry.conductor import gravity_direction
@@ -72,6 +72,7 @@ def find_even(image: GreyImage, conductor: SiteConductor, survey: Survey, regist
     finals = sorted(filter(None, refined), key=_merit, reverse=True)
     if not finals:
         return None
+    finals[0] = completed(image, conductor, registered, finals[0], [])
     rival = max((_rivalry(image, finals[0], other) for other in finals[1:]), default=0.0)
     return replace(finals[0], rival=rival)
 

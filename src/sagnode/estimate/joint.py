@@ -230,6 +230,12 @@ def curve_terms(survey: Survey, theta: FloatArray, curve: CurveObservations) -> 
     return residual, jacobian
 
 
+def curve_uncertainty(survey: Survey, solution: Solution, curve: CurveObservations) -> FloatArray:
+    """Standard uncertainty (M,) of the solved curve across itself, px; the offsets and their own do not matter."""
+    _, jacobian = curve_terms(survey, solution.theta, curve)
+    return np.asarray(np.sqrt(np.maximum(np.einsum("mi,ij,mj->m", jacobian, solution.covariance, jacobian), 0.0)))
+
+
 def correlated_error(arc: FloatArray, sigma: FloatArray) -> FloatArray:
     """Covariance (M, M) of what offsets at ``arc`` (M,) along a curve share, px²; ``sigma`` (M,) is their own."""
     distance = np.abs(arc[:, None] - arc[None, :])

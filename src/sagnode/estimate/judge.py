@@ -77,8 +77,9 @@ def judge(
 def _not_a_wire(found: Matched) -> list[Reason]:
     if not is_wire(found):
         text = (
-            f"no wire stands out where the conductor should be: score {found.sighting.score:.1f} (needs {SCORE_MIN:g}),"
-            f" {100 * support(found):.0f} % of the curve in view on it (needs {100 * SUPPORT_MIN:g} %)"
+            f"no wire stands out where the conductor should be: score {found.sighting.score:.1f} (needs {SCORE_MIN:g},"
+            f" or nearly all of the curve), {100 * support(found):.0f} % of the curve in view on it"
+            f" (needs {100 * SUPPORT_MIN:g} %)"
         )
         return [Reason(Cause.NO_CONDUCTOR, text)]
     visible = visible_share(found)

@@ -12,10 +12,10 @@ from sagnode.estimate.matched import (
     is_wire,
     looked_at,
     refine,
+    share_standing_out,
     support,
     survey_of,
     view_of,
-    visible_share,
 )
 from sagnode.estimate.register import Registered
 from sagnode.estimate.swings import Explanation, expected_swing, explanation, uneven_probabilities
@@ -54,7 +54,8 @@ class Doubt:
         conductor: which.
         survey: what is known of it, under an even load.
         even: the match; None where no even curve was found.
-        strains: what its residuals say about a light and a heavy uneven load; empty where it lies on no wire.
+        strains: what its residuals say about a light and a heavy uneven load; empty where it lies on no wire. They are
+            those before the even curve itself foretold where to look, and so is the swing that goes with them.
     """
 
     conductor: SiteConductor
@@ -71,7 +72,7 @@ class Doubt:
         """The even load as an explanation of the picture."""
         if self.even is None or not self.strains:
             return []
-        return [explanation(0.0, *self.even.swing, self.swing_u)]
+        return [explanation(0.0, *(self.even.unaided or self.even).swing, self.swing_u)]
 
     def as_uneven(self) -> list[Explanation]:
         """Uneven loads, by what the even one leaves over, as far as one step reaches."""
@@ -84,14 +85,18 @@ class Doubt:
 
     def hardly_seen(self) -> bool:
         """Whether so little lies on the even curve that the wire may be elsewhere."""
-        return self.even is None or support(self.even) < SUSPECT_SUPPORT or visible_share(self.even) < SUSPECT_SHARE
+        return (
+            self.even is None or support(self.even) < SUSPECT_SUPPORT or share_standing_out(self.even) < SUSPECT_SHARE
+        )
 
 
 def doubt(conductor: SiteConductor, registered: Registered, even: Matched | None) -> Doubt:
     """What one conductor's even match says against itself."""
     survey = survey_of(conductor, registered)
     # a curve on nothing has nothing to say, neither about the load nor about the wind
-    strains = unevenness(even.solution, survey, LOADS_U) if even is not None and is_wire(even) else []
+    strains: list[Unevenness] = []
+    if even is not None and is_wire(even):
+        strains = unevenness((even.unaided or even).solution, survey, LOADS_U)
     return Doubt(conductor, survey, even, strains)
 
 

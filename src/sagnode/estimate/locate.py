@@ -7,7 +7,16 @@ from dataclasses import replace
 from sagnode.capture.port import GreyImage
 from sagnode.estimate.even import find_even
 from sagnode.estimate.load import settle_loads
-from sagnode.estimate.matched import NOT_LOOKED_AT, STAGES, Matched, looked_at, refine, remaining_stages, survey_of
+from sagnode.estimate.matched import (
+    NOT_LOOKED_AT,
+    STAGES,
+    Matched,
+    completed,
+    looked_at,
+    refine,
+    remaining_stages,
+    survey_of,
+)
 from sagnode.estimate.register import Registered
 from sagnode.match.refine import runs_near
 from sagnode.site import Site
@@ -35,7 +44,10 @@ def locate(site: Site, image: GreyImage, registered: Registered) -> dict[str, Ma
         if runs_near(first.track, others, STAGES[-1].half_range_px):
             start, stages = first.solution.theta, remaining_stages(first)
             masked = refine(image, conductor, first.survey, registered, start, others, stages, first.track)
-            first = None if masked is None else replace(masked, rival=first.rival, doubtful_load=first.doubtful_load)
+            if masked is not None:
+                masked = replace(masked, rival=first.rival, doubtful_load=first.doubtful_load)
+                masked = completed(image, conductor, registered, masked, others)
+            first = masked
         if first is not None:
             found[conductor.id] = first if first.sighting is not NOT_LOOKED_AT else looked_at(image, first)
     return found

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sagnode.capture.port import GreyImage
-from sagnode.estimate.joint import CurveObservations, Solution, solve
+from sagnode.estimate.joint import CurveObservations, Solution, curve_uncertainty, solve
 from sagnode.estimate.register import Registered, moved_survey
 from sagnode.geometry.camera import FloatArray
 from sagnode.match.refine import Observed, Sighting, Track, mixed_samples, observe, sight, trace
@@ -38,9 +38,21 @@ FOLLOWED_EXTENT, FOLLOWED_BLOCKS = 0.6, 0.75
 EXPLAINED_SHARE, EXPLAINED_PX = 0.97, 0.5
 """and this share of them lies off the solved curve by less than so many px."""
 SCORE_MIN = 8.0
-"""Robust z-score over the shifted curves below which a wire is not proven."""
+"""Robust z-score over the shifted curves from which a wire is proven,"""
+CHANCE_MAX = 1e-8
+"""or this chance of so many windows standing out: one in ten thousand, though the search chose among as many curves. A
+faint wire that crosses sky and trees stands out everywhere, but in their mean the trees drown it."""
 SUPPORT_MIN = 0.30
 """Least share of the curve in view that must stand out; a window does so by chance once in twenty."""
+FORETOLD_ROUNDS, FORETOLD_ENOUGH = 3, 0.95
+"""Most rounds of following a wire where it is foretold, and the share of usable blocks that leaves nothing to do."""
+FORETOLD_PX, FORETOLD_Z = 0.7, 3.0
+"""How far aside a block is looked for: so many px, and so many standard uncertainties of the solved curve."""
+FORETOLD_BLOCK_PX, FORETOLD_MARGIN_PX = 12.0, 1.5
+FORETOLD_SAMPLES = 60
+"""Places along a curve where its uncertainty is worked out."""
+MEASURED_PX = 0.8
+"""A block that is surer than this, and lies nearer to the curve, shows the wire there."""
 MAX_BLOCKS = 80
 """More blocks say nothing new: neighbours within a few dozen pixels share their error."""
 
@@ -63,6 +75,9 @@ class Matched:
     sighting: Sighting = NOT_LOOKED_AT
     rival: float = 0.0
     """Response of the best different curve over this one's where the two part; 0 if there is none."""
+    unaided: Matched | None = None
+    """What was measured before the wire itself foretold where to look, where that was done: it cannot have leant on the
+    load that was assumed."""
     doubtful_load: bool = False
     """The wire hangs unevenly by its misfit, and no uneven load was found that explains it better."""
 
@@ -120,16 +135,9 @@ def refine(
             return None
         block_px = max(stage.block_px, float(curve.arc[-1]) / MAX_BLOCKS)
         observed = observe(image, curve, stage.half_range_px, others, block_px, stage.shifts, stage.run)
-        use = observed.usable
-        if int(use.sum()) < 4:
+        if int(observed.usable.sum()) < 4:
             return None
-        offsets = CurveObservations(
-            t=observed.t[use],
-            arc=observed.arc[use],
-            normal=observed.normal[use],
-            measured=(observed.pixel + observed.offset[:, None] * observed.normal)[use],
-            sigma=observed.sigma[use],
-        )
+        offsets = _offsets(observed)
         solution = solve(survey, theta, registered.camera, offsets, stage.iterations)
         theta = solution.theta
         view = view_of(survey, conductor, theta)
@@ -138,6 +146,89 @@ def refine(
         return None
     response = _mixed_response(image, curve)
     return Matched(survey, solution, view, curve, observed, offsets, response)
+
+
+def completed(
+    image: GreyImage,
+    conductor: SiteConductor,
+    registered: Registered,
+    found: Matched,
+    others: list[FloatArray],
+) -> Matched:
+    """The same conductor with what can be measured of it where the rest of the wire foretells its place.
+
+    Where another wire, or another stretch of this one, runs a few pixels away, and where a faint wire is one among
+    several things within the usual reach, only what is near the foretold place is looked at. What that adds foretells
+    the next stretch, round by round.
+    """
+    for _ in range(FORETOLD_ROUNDS):
+        if float(np.mean(found.observed.usable)) > FORETOLD_ENOUGH or not found.solution.converged:
+            break
+        again = _foretold(image, conductor, registered, found, others)
+        if again is None or not again.solution.converged:
+            break
+        gained = np.ptp(again.offsets.t) > np.ptp(found.offsets.t) or len(again.offsets.t) > len(found.offsets.t)
+        if not gained:
+            break
+        found = again
+    return found
+
+
+def _foretold(
+    image: GreyImage,
+    conductor: SiteConductor,
+    registered: Registered,
+    found: Matched,
+    others: list[FloatArray],
+) -> Matched | None:
+    """One more round of measuring and solving, each block looked for as far aside as the solved curve is uncertain."""
+    track, theta = found.track, found.solution.theta
+    some = np.unique(np.linspace(0, len(track.t) - 1, FORETOLD_SAMPLES).astype(np.intp))
+    places = CurveObservations(
+        track.t[some], track.arc[some], track.normal[some], track.pixels[some], np.ones(len(some))
+    )
+    sigma = np.interp(track.arc, track.arc[some], curve_uncertainty(found.survey, found.solution, places))
+    # where the wire was seen without being foretold, all of it speaks: what a wrong idea of its load leaves over too
+    half_range = np.where(
+        _of_blocks(found.observed, found.observed.usable, track.t),
+        STAGES[-1].half_range_px,
+        np.minimum(STAGES[-1].half_range_px, FORETOLD_PX + FORETOLD_Z * sigma),
+    )
+    block_px = max(FORETOLD_BLOCK_PX, float(track.arc[-1]) / MAX_BLOCKS)
+    observed = observe(
+        image, track, half_range, others, block_px, STAGES[-1].shifts, STAGES[-1].run, FORETOLD_MARGIN_PX
+    )
+    if int(observed.usable.sum()) < 4:
+        return None
+    offsets = _offsets(observed)
+    solution = solve(found.survey, theta, registered.camera, offsets, STAGES[-1].iterations)
+    view = view_of(found.survey, conductor, solution.theta)
+    curve = trace(view, float(solution.theta[SAG]), float(solution.theta[SWING]))
+    if curve is None:
+        return None
+    return replace(
+        found,
+        solution=solution,
+        view=view,
+        track=curve,
+        observed=observed,
+        offsets=offsets,
+        response=_mixed_response(image, curve),
+        sighting=NOT_LOOKED_AT,
+        unaided=found.unaided or found,
+    )
+
+
+def _offsets(observed: Observed) -> CurveObservations:
+    """The usable blocks, as the joint estimate takes them."""
+    use = observed.usable
+    return CurveObservations(
+        t=observed.t[use],
+        arc=observed.arc[use],
+        normal=observed.normal[use],
+        measured=(observed.pixel + observed.offset[:, None] * observed.normal)[use],
+        sigma=observed.sigma[use],
+    )
 
 
 def remaining_stages(found: Matched) -> tuple[Stage, ...]:
@@ -172,13 +263,36 @@ def support(matched: Matched) -> float:
 
 def is_wire(matched: Matched) -> bool:
     """Whether anything like a wire lies on the curve at all."""
-    return matched.sighting.score >= SCORE_MIN and support(matched) >= SUPPORT_MIN
+    proven = matched.sighting.score >= SCORE_MIN or matched.sighting.chance <= CHANCE_MAX
+    return proven and support(matched) >= SUPPORT_MIN
+
+
+def share_standing_out(matched: Matched) -> float:
+    """Share of the span's horizontal length over which a wire stands out on the curve."""
+    return _share(matched.track, matched.sighting.seen)
 
 
 def visible_share(matched: Matched) -> float:
-    """Share of the span's horizontal length over which a wire stands out on the curve."""
-    extent = np.abs(np.gradient(matched.track.t))
-    return float(np.clip(extent[matched.sighting.seen].sum(), 0.0, 1.0))
+    """Share of the span's horizontal length over which the wire is seen: it stands out, or was measured on the curve.
+
+    A window stands out by its mean; the blocks in it, compared with the profile of a wire, may still show it.
+    """
+    t = matched.observed.t
+    if not len(t):
+        return share_standing_out(matched)
+    measured = np.zeros(len(t), dtype=bool)
+    use = matched.observed.usable
+    measured[use] = np.maximum(np.abs(matched.solution.residual), matched.observed.sigma[use]) < MEASURED_PX
+    return _share(matched.track, matched.sighting.seen | _of_blocks(matched.observed, measured, matched.track.t))
+
+
+def _of_blocks(observed: Observed, value: NDArray[np.bool_], t: FloatArray) -> NDArray[np.bool_]:
+    """What is said of blocks (M,), said of places (N,) along the curve: each goes with the nearest block."""
+    return np.asarray(value[np.searchsorted(0.5 * (observed.t[1:] + observed.t[:-1]), t)])
+
+
+def _share(track: Track, some: NDArray[np.bool_]) -> float:
+    return float(np.clip(np.abs(np.gradient(track.t))[some].sum(), 0.0, 1.0))
 
 
 def attachment_z(matched: Matched) -> float:

@@ -134,7 +134,7 @@ def localise_beside(
     pixels: FloatArray,
     normal: FloatArray,
     width_px: ArrayLike,
-    half_range_px: float,
+    half_range_px: ArrayLike,
     shifts_px: Sequence[float],
     block_px: float = 8.0,
     blur_px: float = BLUR_PX,
@@ -144,6 +144,7 @@ def localise_beside(
     """Measure the wire's offset as :func:`localise` does, and look likewise about the curve shifted across.
 
     One ribbon serves all: it is as wide as the farthest shift (``shifts_px``, px along the normal) asks for.
+    ``half_range_px`` may be one value or (N,): where the wire is known to be near, less need be looked at.
 
     ``members`` (m, N) are the offsets across the curve, px, of the sub-conductors of a bundle whose centre line the
     curve is. Each has its ribbon, and a kernel that shows the others where they are near; their scores add up, so that
@@ -160,7 +161,9 @@ def localise_beside(
     widths = np.broadcast_to(np.asarray(width_px, dtype=np.float64), arc.shape)
     width = np.add.reduceat(widths, starts) / size
     near = kernel_reach(float(np.max(width)), blur_px, margin_px)
-    far = int(np.ceil(half_range_px / STEP_PX)) + 1
+    ranges = np.broadcast_to(np.asarray(half_range_px, dtype=np.float64), arc.shape)
+    half_range = np.add.reduceat(ranges, starts) / size
+    far = int(np.ceil(float(np.max(ranges)) / STEP_PX)) + 1
     centres = np.rint(np.array([0.0, *shifts_px]) / STEP_PX).astype(np.intp)
     reach = int(np.max(np.abs(centres))) + far
     if members is None:
@@ -176,7 +179,7 @@ def localise_beside(
     row = np.arange(len(starts))[:, None]
     overlap = _overlap(kernels, middles)
     position, sigma, snr, likeness, contrast, noise = _peaks(
-        amplitude[row, window], energy[row, window], kernel, len(wires), overlap
+        amplitude[row, window], energy[row, window], kernel, len(wires), overlap, half_range
     )
     offset = STEP_PX * (position - far)
     ends = np.asarray(STEP_PX * (centres[:, None] + np.array([-far - near, far + near])), dtype=np.float64)
@@ -184,7 +187,7 @@ def localise_beside(
     # where windows share pixels, the noise of one side is in the other too
     sigma[0] *= np.where(overlap < SHARING, np.minimum(1.0, uneven / np.maximum(noise[0], ROUNDING_GREY)), 1.0)
     seen = np.all([_inside(image, wire, normal, starts, ends) for wire in wires], axis=0)
-    valid = seen & np.isfinite(offset) & (np.abs(offset) <= half_range_px)
+    valid = seen & np.isfinite(offset) & (np.abs(offset) <= half_range)
     middle = starts + size // 2
     blocks = Blocks(
         index=starts + 0.5 * (size - 1),
@@ -299,17 +302,25 @@ def _overlap(kernels: list[FloatArray], middles: FloatArray) -> FloatArray:
 
 
 def _peaks(
-    amplitude: FloatArray, energy: FloatArray, kernel: FloatArray, wires: int, overlap: FloatArray
+    amplitude: FloatArray,
+    energy: FloatArray,
+    kernel: FloatArray,
+    wires: int,
+    overlap: FloatArray,
+    half_range: FloatArray,
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
     """Best position (fractional window number), sigma px, snr, correlation, contrast and noise (S, M).
 
     From the amplitude and energy (S, M, K) of the windows about S places of M blocks, with their kernels (M, n) for
-    all sub-conductors one after the other, and what their windows share makes of the variance (M,).
+    all sub-conductors one after the other, what their windows share makes of the variance (M,), and how far aside the
+    wire may be (M,), px.
     """
     n = kernel.shape[1]
     score = correlation(amplitude, energy, n)
     # the outermost windows only serve the parabola
-    peak = np.argmax(score[..., 1:-1], axis=-1)[..., None] + 1
+    across = _steps(score.shape[-1] // 2)[1:-1] * STEP_PX
+    looked_at = np.abs(across) <= half_range[:, None] + STEP_PX
+    peak = np.argmax(np.where(looked_at, score[..., 1:-1], -1.0), axis=-1)[..., None] + 1
 
     def at(values: FloatArray, shift: int = 0) -> FloatArray:
         return np.asarray(np.take_along_axis(values, peak + shift, axis=-1)[..., 0])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import comb
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +11,7 @@ from numpy.typing import NDArray
 from sagnode.capture.port import GreyImage
 from sagnode.geometry.camera import FloatArray
 from sagnode.match.bundle import lines
-from sagnode.match.localise import Beside, Blocks, localise_beside
+from sagnode.match.localise import MARGIN_PX, Beside, Blocks, localise_beside
 from sagnode.match.ribbon import arc_length, line_response, normals
 from sagnode.match.robust import median
 from sagnode.match.templates import View, visible_part
@@ -18,7 +19,9 @@ from sagnode.match.templates import View, visible_part
 WINDOW_PX = 24.0
 WINDOW_SHARE = 0.04
 WINDOW_RANK = 0.95
-"""A window is seen when it responds more strongly than 95 % of the shifted curves there: by chance one in twenty."""
+"""A window is seen when it responds more strongly than 95 % of the shifted curves there,"""
+WINDOW_CHANCE = 2 / 35
+"""which of 34 shifted curves and the track one of the two strongest is: by chance about one in twenty."""
 SHIFTS_PX = (16.0, -16.0, 23.0, -23.0, 31.0, -31.0, 11.0, -11.0)
 """Where the same curve is laid beside the wire to learn what the background alone looks like."""
 FALSE_PEAK_POWER = 6.0
@@ -131,32 +134,50 @@ def near_another(track: Track, other: Track, reach: float) -> NDArray[np.bool_]:
 
 
 def observe(
-    image: GreyImage, track: Track, half_range: float, others: list[FloatArray], block_px: float, shifts: int, run: int
+    image: GreyImage,
+    track: Track,
+    half_range: float | FloatArray,
+    others: list[FloatArray],
+    block_px: float,
+    shifts: int,
+    run: int,
+    margin: float = MARGIN_PX,
 ) -> Observed:
     """Measure the wire's offset in every block of a track.
 
     Args:
         image: raw grey frame.
         track: the predicted curve.
-        half_range: how far across the curve to look, px.
+        half_range: how far across the curve to look, px; one value, or one for every sample (N,).
         others: polylines (K, 2) of other known wires; blocks that could see them are masked.
         block_px: length of a block; long blocks see fainter wires once the curve is nearly right.
         shifts: how many shifted curves a block is ranked against, nearest first.
         run: least number of usable blocks in a row.
+        margin: background taken in on either side, px.
     """
-    away = [np.sign(shift) * (abs(shift) + half_range) for shift in SHIFTS_PX[:shifts]]
+    widest = float(np.max(half_range))
+    away = [np.sign(shift) * (abs(shift) + widest) for shift in SHIFTS_PX[:shifts]]
     blocks, beside = localise_beside(
-        image, track.pixels, track.normal, track.width, half_range, away, block_px, members=track.members
+        image,
+        track.pixels,
+        track.normal,
+        track.width,
+        half_range,
+        away,
+        block_px,
+        margin_px=margin,
+        members=track.members,
     )
     rank, lead = _rank(blocks, beside)
     index = np.clip(np.round(blocks.index).astype(np.intp), 0, len(track.t) - 1)
     pixel, normal = track.pixels[index], track.normal[index]
-    reach = _reach(track, index, half_range)
+    own_range = np.broadcast_to(half_range, track.t.shape)[index]
+    reach = _reach(track, index, own_range) + margin - MARGIN_PX
     masked = _folds_back(track, index, reach)
     for other in others:
         masked |= _near(pixel, normal, other, reach)
     usable = blocks.valid & (rank >= RANK_MIN) & ~masked
-    usable &= _neighbours_agree(blocks, usable)
+    usable &= _neighbours_agree(blocks, usable, masked)
     usable &= _in_runs(usable, run)
     return Observed(
         track,
@@ -165,7 +186,7 @@ def observe(
         pixel,
         normal,
         np.nan_to_num(blocks.offset),
-        np.hypot(np.nan_to_num(blocks.sigma, nan=1e3), _false_peak_sigma(lead, half_range)),
+        np.hypot(np.nan_to_num(blocks.sigma, nan=1e3), _false_peak_sigma(lead, own_range)),
         rank,
         usable,
         masked,
@@ -185,9 +206,9 @@ def _in_runs(usable: NDArray[np.bool_], least: int) -> NDArray[np.bool_]:
     return result
 
 
-def _neighbours_agree(blocks: Blocks, usable: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Which blocks (M,) have enough usable neighbours on the same smooth line."""
-    count = np.zeros(len(usable), dtype=int)
+def _neighbours_agree(blocks: Blocks, usable: NDArray[np.bool_], masked: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Which blocks (M,) have enough usable neighbours on the same smooth line; masked ones are none."""
+    count, exist = np.zeros((2, len(usable)), dtype=int)
     offset, arc = np.nan_to_num(blocks.offset), blocks.arc
     for k in range(1, NEIGHBOURS + 1):
         if len(usable) <= k:
@@ -196,10 +217,10 @@ def _neighbours_agree(blocks: Blocks, usable: NDArray[np.bool_]) -> NDArray[np.b
         same = usable[k:] & usable[:-k] & (np.abs(offset[k:] - offset[:-k]) < limit)
         count[k:] += same
         count[:-k] += same
+        exist[k:] += ~masked[:-k]
+        exist[:-k] += ~masked[k:]
     # at the ends of the curve half of the neighbours do not exist
-    position = np.arange(len(usable))
-    exist = np.minimum(position, NEIGHBOURS) + np.minimum(len(usable) - 1 - position, NEIGHBOURS)
-    result: NDArray[np.bool_] = count >= np.minimum(NEIGHBOURS, np.ceil(exist / 2))
+    result: NDArray[np.bool_] = count >= np.clip(np.ceil(exist / 2), 1, NEIGHBOURS)
     return result
 
 
@@ -210,7 +231,7 @@ def runs_near(track: Track, others: list[FloatArray], half_range: float) -> bool
     return any(_near(pixels, normal, other, reach).any() for other in others)
 
 
-def _reach(track: Track, index: NDArray[np.intp], half_range: float) -> FloatArray:
+def _reach(track: Track, index: NDArray[np.intp], half_range: float | FloatArray) -> FloatArray:
     """Distance across the curve within which another wire disturbs a block at some samples (M,), px."""
     outermost = np.max(np.abs(track.members[:, index]), axis=0)
     return np.asarray(half_range + 3.0 + 0.5 * median(track.width) + outermost)
@@ -229,7 +250,7 @@ def _rank(blocks: Blocks, beside: Beside) -> tuple[FloatArray, FloatArray]:
     return rank, here / np.maximum(np.sort(there, axis=0)[-2], 1.0)
 
 
-def _false_peak_sigma(lead: FloatArray, half_range: float) -> FloatArray:
+def _false_peak_sigma(lead: FloatArray, half_range: FloatArray) -> FloatArray:
     """Standard deviation (M,) that the chance of having taken texture for the wire adds to an offset, px.
 
     A block that leads the background by nothing is as likely texture as wire, and texture's offset is anywhere within
@@ -293,10 +314,12 @@ class Sighting:
     Attributes:
         score: robust z-score of the mean response on the track among the shifted ones.
         seen: samples (N,) that belong to a window in which the track stands out.
+        chance: probability that so many windows of a track that lies on no wire stand out.
     """
 
     score: float
     seen: NDArray[np.bool_]
+    chance: float = 1.0
 
 
 def sight(image: GreyImage, track: Track) -> Sighting:
@@ -316,12 +339,20 @@ def sight(image: GreyImage, track: Track) -> Sighting:
         spread = 1.4826 * median(np.abs(background - middle))
         score = float((whole[0] - middle) / max(spread, 0.05))
     seen = np.zeros(len(t), dtype=bool)
+    judged = stand_out = 0
     for window in _windows(t, arc):
         means = _means(response[:, window])
         beside = means[1:][np.isfinite(means[1:])]
         if len(beside) >= 6 and np.isfinite(means[0]):
             seen[window] = np.mean(means[0] > beside) >= WINDOW_RANK
-    return Sighting(score, np.repeat(seen, every)[: len(track.t)])
+            judged += 1
+            stand_out += int(seen[window.start])
+    return Sighting(score, np.repeat(seen, every)[: len(track.t)], _chance_of(stand_out, judged, WINDOW_CHANCE))
+
+
+def _chance_of(successes: int, trials: int, each: float) -> float:
+    """Probability of at least so many successes in trials that succeed with the probability ``each``."""
+    return sum(comb(trials, k) * each**k * (1 - each) ** (trials - k) for k in range(successes, trials + 1))
 
 
 def _means(response: NDArray[np.float32]) -> FloatArray:
