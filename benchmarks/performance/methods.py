@@ -22,7 +22,7 @@ from sagnode.site import Site
 
 POINTS = np.linspace(0.0, 1.0, 401)
 LITERAL = ("Bézier", "cosh with perspective")
-SEARCH = "sagnode.match.search"
+SEARCH, LIBRARY = "sagnode.match.search", "sagnode.match.library"
 MOST = 30_000
 """Templates of one stretch of curve that the search can hold: OpenCV's pictures end at 32 767 columns."""
 
@@ -170,8 +170,8 @@ class Own:
 @contextmanager
 def _search_of(most: int, step_px: float) -> Iterator[None]:
     with ExitStack() as stack:
-        stack.enter_context(replaced(SEARCH, "MAX_TEMPLATES", most))
-        stack.enter_context(replaced(SEARCH, "STEP_PX", step_px))
+        stack.enter_context(replaced(LIBRARY, "MAX_TEMPLATES", most))
+        stack.enter_context(replaced(LIBRARY, "STEP_PX", step_px))
         yield
 
 
@@ -181,7 +181,7 @@ def search_settings(site: Site, shot: Shot, wanted: int) -> tuple[int, float]:
     The steps shrink where it would take fewer by itself; the limit, which widens the steps as it does in the product,
     then meets the number.
     """
-    step = 2 * float(bound(SEARCH, "STEP_PX")[1])
+    step = 2 * float(bound(LIBRARY, "STEP_PX")[1])
     count = 0
     while count < wanted:
         step /= 2

@@ -98,6 +98,7 @@ def _where_the_time_is(cases: Cases) -> str:
     """What the reading of the largest frame is made of, in a sentence, the dearest first."""
     words = {
         "register": "landmarks and pose",
+        "library": "drawing the templates",
         "search": "the coarse search",
         "refine": "measuring across the curves",
         "solve": "the joint estimates",

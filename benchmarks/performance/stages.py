@@ -31,6 +31,7 @@ STAGES = (
     Stage("look", "sagnode.pipeline", "look"),
     Stage("register", "sagnode.pipeline", "register"),
     Stage("locate", "sagnode.pipeline", "locate"),
+    Stage("library", "sagnode.match.library", "draw_library", "locate"),
     Stage("search", "sagnode.estimate.even", "search", "locate"),
     Stage("refine", "sagnode.estimate.matched", "observe", "locate"),
     Stage("solve", "sagnode.estimate.matched", "solve", "locate"),

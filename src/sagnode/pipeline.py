@@ -17,6 +17,7 @@ from sagnode.estimate.locate import locate
 from sagnode.estimate.register import register
 from sagnode.estimate.tell import refused, tell
 from sagnode.match.appearances import Appearances
+from sagnode.match.library import Shelf
 from sagnode.measurement import ConductorMeasurement, FrameMeasurement
 from sagnode.reference.measure import measure_by_reference
 from sagnode.site import Site, load_site
@@ -29,16 +30,22 @@ def measure_burst(site: Site, images: Sequence[GreyImage], kept: Appearances = (
 
     ``kept``: further appearances of the site's landmarks, where a node has learnt some.
     """
-    return combine_burst([measure_frame(site, image, kept) for image in images])
+    shelf = Shelf()
+    return combine_burst([measure_frame(site, image, kept, shelf) for image in images])
 
 
-def measure_frame(site: Site, image: GreyImage, kept: Appearances = ()) -> list[FrameMeasurement]:
-    """Measure every conductor of the span in one frame."""
+def measure_frame(
+    site: Site, image: GreyImage, kept: Appearances = (), shelf: Shelf | None = None
+) -> list[FrameMeasurement]:
+    """Measure every conductor of the span in one frame.
+
+    ``shelf`` holds the template libraries that frames before this one have drawn; no frame hands on anything it shows.
+    """
     # explain: where something is refused, is it the lens, fog or night?
-    return explain(site, image, _measured(site, image, kept))
+    return explain(site, image, _measured(site, image, kept, shelf))
 
 
-def _measured(site: Site, image: GreyImage, kept: Appearances) -> list[FrameMeasurement]:
+def _measured(site: Site, image: GreyImage, kept: Appearances, shelf: Shelf | None) -> list[FrameMeasurement]:
     # look: can anything be seen at all?
     reasons = look(site, image)
     if reasons:
@@ -51,6 +58,6 @@ def _measured(site: Site, image: GreyImage, kept: Appearances) -> list[FrameMeas
     if reasons:
         return refused(site, reasons, registered)
     # match and refine, then solve: every conductor, known neighbours included
-    located = locate(site, image, registered)
+    located = locate(site, image, registered, shelf)
     # tell: the numbers and how sure they are, where the judgement lets them be told
     return [tell(site, c, registered, located.get(c.id)) for c in site.conductors if c.measured]

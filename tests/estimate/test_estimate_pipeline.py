@@ -12,8 +12,9 @@ from sagnode.config.node import Measure
 from sagnode.config.span import Stringing
 from sagnode.errors import ConfigError
 from sagnode.geometry.camera import project
+from sagnode.match.library import Shelf
 from sagnode.measurement import ConductorMeasurement
-from sagnode.pipeline import load_site, measure_burst
+from sagnode.pipeline import load_site, measure_burst, measure_frame
 from sagnode.quality import Cause, Validity
 from sagnode.scene.presets import simple_scene
 from sagnode.scene.render import Rendered, render
@@ -91,6 +92,25 @@ def test_a_burst_is_combined_and_one_bad_frame_is_left_out(scene_and_moment: tup
     for m in measure_burst(site, frames):
         assert m.validity is not Validity.INVALID
         assert (m.frames_used, m.frames_rejected) == (3, 1)
+
+
+def test_a_frame_of_a_burst_is_not_persuaded_by_the_frame_before_it(
+    scene_and_moment: tuple[Scene, Moment], site: Site
+) -> None:
+    scene, still = scene_and_moment
+    # the first frame of the burst shows the wires elsewhere
+    lower = {name: replace(wire, sag_m=wire.sag_m + 0.3) for name, wire in still.wires.items()}
+    wrong = render(scene, replace(still, wires=lower))
+    image = render(scene, replace(still, seed=31)).image
+    shelf = Shelf()
+    before = measure_frame(site, wrong.image, shelf=shelf)
+    after = measure_frame(site, image, shelf=shelf)
+    for first, m, alone in zip(before, after, measure_frame(site, image), strict=True):
+        assert first.estimates["sag"].value == pytest.approx(truth(wrong, m.conductor, "sag_m"), abs=0.1)
+        assert m.validity is alone.validity
+        # not pulled to what the first frame said, which is eight uncertainties away
+        sag, by_itself = m.estimates["sag"], alone.estimates["sag"]
+        assert sag.value == pytest.approx(by_itself.value, abs=by_itself.u)
 
 
 def test_no_wire_no_number(scene_and_moment: tuple[Scene, Moment], site: Site) -> None:

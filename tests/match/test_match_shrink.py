@@ -5,7 +5,7 @@ import pytest
 
 from sagnode.geometry.camera import Intrinsics, Pose, rotation_from_angles
 from sagnode.match.family import OUTSIDE_PX, Family
-from sagnode.match.shrink import box_around, halved
+from sagnode.match.shrink import box_around, halved, halved_view
 from sagnode.match.templates import View
 
 LENS = Intrinsics(1456, 1088, 1739.0, 1741.0, 727.5, 543.5, (-0.08, 0.02, 0.0004, -0.0003, 0.001))
@@ -29,7 +29,8 @@ def test_a_halved_picture_shows_the_same_at_the_same_place() -> None:
     columns = np.broadcast_to(np.arange(LENS.width), (LENS.height, LENS.width))
     # a ramp: its value tells the place
     image = np.round(255 * columns / LENS.width).astype(np.uint8)
-    small, view = halved(image, VIEW, (201, 100, 1001, 700))
+    box = (201, 100, 1001, 700)
+    small, view = halved(image, box), halved_view(VIEW, box)
     assert small.shape == (300, 400)
     pixels, _ = VIEW.pixels(8.0, 0.1, T)
     moved, _ = view.pixels(8.0, 0.1, T)

@@ -5,6 +5,7 @@ import pytest
 
 from sagnode.geometry.camera import Intrinsics, Pose, project, rotation_from_angles
 from sagnode.geometry.conductor import control_points
+from sagnode.match.library import draw_library
 from sagnode.match.search import search
 from sagnode.match.templates import View, even_parameters
 from sagnode.scene.presets import simple_scene
@@ -45,7 +46,8 @@ def test_nothing_in_view_gives_no_parameters() -> None:
     view = tower_view(0.5)
     away = View(LENS, Pose(rotation_from_angles(180.0, -1.0, 0.0), view.pose.position), view.near, view.far, 0.02)
     assert even_parameters(away, 8.4, 0.0, 50).size == 0
-    assert search(np.zeros((1088, 1456), np.uint8), away, (6.0, 11.0), 0.5, 0.2, 0.03) == []
+    assert draw_library(away, (6.0, 11.0), 0.5, 0.03) is None
+    assert search(np.zeros((1088, 1456), np.uint8), None, 0.2) == []
 
 
 def test_coarse_search_comes_near_the_truth() -> None:
@@ -54,7 +56,8 @@ def test_coarse_search_comes_near_the_truth() -> None:
     for conductor, sag in (("L1", 1.7), ("L2", 2.4)):
         c = next(c for c in scene.true.conductors if c.id == conductor)
         view = View(scene.intrinsics, scene.pose_at(moment), np.array(c.near), np.array(c.far), c.diameter_m)
-        best = search(image, view, (c.sag_min_m, c.sag_max_m), np.radians(20.0), np.radians(10.0), 0.02)[0]
+        library = draw_library(view, (c.sag_min_m, c.sag_max_m), np.radians(20.0), 0.02)
+        best = search(image, library, np.radians(10.0))[0]
         assert best.sag == pytest.approx(sag, abs=0.15)
         # seen from the side, swing hardly shows
         assert abs(best.swing) < np.radians(6.0)

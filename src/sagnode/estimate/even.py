@@ -12,6 +12,7 @@ from sagnode.estimate.register import Registered
 from sagnode.geometry.camera import FloatArray
 from sagnode.geometry.conductor import gravity_direction
 from sagnode.match.bundle import lines
+from sagnode.match.library import Shelf
 from sagnode.match.refine import mixed_samples, near_another, trace
 from sagnode.match.ribbon import line_response, normals
 from sagnode.match.search import Candidate, search
@@ -35,12 +36,17 @@ RIVAL_RESPONSE = 2.0
 """Mean response, in grey levels, below which a stretch of curve is taken to lie on nothing."""
 
 
-def find_even(image: GreyImage, conductor: SiteConductor, survey: Survey, registered: Registered) -> Matched | None:
-    """Coarse search, refinement of the best candidates, and a search along what the best one leaves open."""
+def find_even(
+    image: GreyImage, conductor: SiteConductor, survey: Survey, registered: Registered, shelf: Shelf | None = None
+) -> Matched | None:
+    """Coarse search, refinement of the best candidates, and a search along what the best one leaves open.
+
+    ``shelf`` holds the libraries that frames of the same burst have drawn before.
+    """
     view = view_of(survey, conductor, registered.theta)
-    candidates = search(
-        image, view, survey.sag_range, conductor.swing_max, survey.swing_u, survey.attachment_u, CANDIDATES
-    )
+    shelf = Shelf() if shelf is None else shelf
+    library = shelf.take(conductor.id, view, survey.sag_range, conductor.swing_max, survey.attachment_u)
+    candidates = search(image, library, survey.swing_u, CANDIDATES)
     results: list[Matched] = []
     for candidate in candidates:
         # a curve on the wire shows at least what the search saw of it; what the search saw of others is flattered

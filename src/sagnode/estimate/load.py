@@ -20,6 +20,7 @@ from sagnode.estimate.matched import (
 from sagnode.estimate.register import Registered
 from sagnode.estimate.swings import Explanation, expected_swing, explanation, uneven_probabilities
 from sagnode.geometry.camera import FloatArray
+from sagnode.match.library import draw_library
 from sagnode.match.search import Candidate, search
 from sagnode.site import SiteConductor
 from sagnode.survey import LOAD, SAG, SWING, Survey
@@ -207,5 +208,6 @@ def _tilted(
 ) -> Candidate | None:
     """Best curve of the coarse search among those whose load rises along the span by ``tilt``."""
     view = replace(view_of(survey, conductor, registered.theta), load=(tilt,))
-    found = search(image, view, survey.sag_range, conductor.swing_max, survey.swing_u, survey.attachment_u, 1)
+    library = draw_library(view, survey.sag_range, conductor.swing_max, survey.attachment_u)
+    found = search(image, library, survey.swing_u, 1)
     return found[0] if found else None

@@ -18,19 +18,22 @@ from sagnode.estimate.matched import (
     survey_of,
 )
 from sagnode.estimate.register import Registered
+from sagnode.match.library import Shelf
 from sagnode.match.refine import runs_near
 from sagnode.site import Site
 
 
-def locate(site: Site, image: GreyImage, registered: Registered) -> dict[str, Matched]:
+def locate(site: Site, image: GreyImage, registered: Registered, shelf: Shelf | None = None) -> dict[str, Matched]:
     """Find the measured conductors of a span, by id.
 
     Every conductor, those that are only known about included, is first found alone under an even load. Then the
     measured ones are compared: their swings, and what is left over, say whether the load of any may be uneven. Last,
     those that run close to another are refined once more with the others' curves masked, so that a neighbour cannot
     pull them.
+
+    ``shelf`` holds the libraries that frames of the same burst have drawn before.
     """
-    alone = {c.id: find_even(image, c, survey_of(c, registered), registered) for c in site.conductors}
+    alone = {c.id: find_even(image, c, survey_of(c, registered), registered, shelf) for c in site.conductors}
     measured = [c for c in site.conductors if c.measured]
     evens = [(c, None if (even := alone[c.id]) is None else looked_at(image, even)) for c in measured]
     alone |= dict(zip((c.id for c in measured), settle_loads(image, registered, evens), strict=True))

@@ -30,20 +30,25 @@ def box_around(u: Grid, v: Grid, margin: float, shape: tuple[int, ...]) -> Box |
     return left, top, right, bottom
 
 
-def halved(image: GreyImage, view: View, box: Box) -> tuple[GreyImage, View]:
-    """A box of the picture in half its size, and the same view of it."""
+def halved(image: GreyImage, box: Box) -> GreyImage:
+    """A box of the picture in half its size."""
     left, top, right, bottom = box
     size = ((right - left) // 2, (bottom - top) // 2)
-    small = cv2.resize(image[top:bottom, left:right], size, interpolation=cv2.INTER_AREA)
+    return np.asarray(cv2.resize(image[top:bottom, left:right], size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
+
+
+def halved_view(view: View, box: Box) -> View:
+    """The same view of a box of the picture in half its size."""
+    left, top, right, bottom = box
     lens = view.intrinsics
     # pixel centres keep their direction: (u + ½) is halved, not u
     halved_lens = replace(
         lens,
-        width=size[0],
-        height=size[1],
+        width=(right - left) // 2,
+        height=(bottom - top) // 2,
         fx=0.5 * lens.fx,
         fy=0.5 * lens.fy,
         cx=0.5 * (lens.cx - left + 0.5) - 0.5,
         cy=0.5 * (lens.cy - top + 0.5) - 0.5,
     )
-    return np.asarray(small, dtype=np.uint8), replace(view, intrinsics=halved_lens)
+    return replace(view, intrinsics=halved_lens)
