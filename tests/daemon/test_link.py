@@ -47,6 +47,21 @@ def test_newest_is_retained_and_backfill_does_not_overwrite_it(tmp_path, node):
             assert all(m.retain for m in late.of("measurement"))
 
 
+def test_a_newest_reading_that_nobody_renews_vanishes_from_the_broker(tmp_path, node):
+    def retained(broker):
+        with Subscriber(broker.port) as late:
+            late.wait_for(lambda s: s.of("status"))
+            time.sleep(0.1)
+            return sorted(sequences(late))
+
+    with Mosquitto(tmp_path) as broker:
+        n = node(port=broker.port, expiry_s=45 * 60 + 3)  # they are 45, 30 and 15 minutes old when they are sent
+        n.make(1)
+        wait_for(lambda: n.journal.backlog().depth == 0)
+        assert retained(broker) == [1, 2, 3]
+        wait_for(lambda: retained(broker) == [2, 3])
+
+
 def test_clean_stop_says_offline_and_a_lost_node_is_told_by_its_will(tmp_path, node):
     with Mosquitto(tmp_path) as broker, Subscriber(broker.port) as subscriber:
         n = node(port=broker.port)
