@@ -2,14 +2,17 @@
 
 import random
 import shutil
+import sqlite3
 from functools import partial
 
 import pytest
 from readings import fill
 from steps import killed_before, lines_of
 
+from sagnode.daemon import journal as journal_module
 from sagnode.daemon.journal import Journal
 from sagnode.daemon.sequence import BLOCK
+from sagnode.errors import DiskError
 
 BURSTS = 12
 USED = 3 * BURSTS
@@ -81,3 +84,23 @@ def test_killed_at_any_line_the_next_start_finds_the_same_and_counts_on(original
         assert {path.name for path in place.iterdir() if path.suffix in {".begun", ".mended", ".kept"}} == set()
         journal.close()
         shutil.rmtree(place)
+
+
+def test_a_log_that_waits_for_its_journal_is_kept_once(original, tmp_path, monkeypatch):
+    place = tmp_path / "state"
+    shutil.copytree(original, place)
+
+    def refuse(_):
+        raise sqlite3.OperationalError("database or disk is full")
+
+    size = (place / "journal.sqlite-wal").stat().st_size
+    with monkeypatch.context() as full:
+        full.setattr(journal_module, "open_file", refuse)
+        for _ in range(3):
+            with pytest.raises(DiskError):
+                Journal(place / "journal.sqlite", "boot-2")
+    assert (place / "journal.sqlite-wal.kept").stat().st_size == size
+    journal = Journal(place / "journal.sqlite", "boot-2")
+    assert len(numbers(journal)) == USED
+    journal.close()
+    assert not (place / "journal.sqlite-wal.kept").exists()

@@ -125,8 +125,11 @@ class KeptLog:
         """
         if not self._log_file.exists():
             return
-        with self._log_file.open("rb") as source, self._path.open("ab") as copy:
-            shutil.copyfileobj(source, copy)
+        log_now = self._log_file.read_bytes()
+        if self._path.exists() and self._path.read_bytes().endswith(log_now):
+            return  # a journal that cannot be opened is tried every minute
+        with self._path.open("ab") as copy:
+            copy.write(log_now)
             copy.flush()
             os.fsync(copy.fileno())
         sync_directory(self._path.parent)
