@@ -216,7 +216,11 @@ def main(names: list[str]) -> int:
     for words in [*skipped, *(f"{result['lane']}: {result['result']}" for result in bad)]:
         print(words)
     print(f"lanes: {took_s:.0f} s")
-    print(f"{len(results) - len(bad)} passed, {len(bad)} failed")
+    if results:
+        told = f", {len(skipped)} skipped" if skipped else ""
+        print(f"{len(results) - len(bad)} passed, {len(bad)} failed{told}")
+    else:
+        print("no lane could run here")
     return 1 if bad else 0
 
 

@@ -30,7 +30,7 @@ fetching() {
 	local log said=0 line
 	log=$(mktemp)
 	"$@" 2>&1 | tee "$log" || said=$?
-	line=$(grep -m1 -E 'Could not resolve|Temporary failure|Failed to fetch|Unable to connect|Connection (refused|timed out|failed)|Max retries|No matching distribution' "$log" || true)
+	line=$(grep -m1 -E 'apt-get update .* failed|Could not resolve|Temporary failure|Failed to fetch|Unable to connect|Connection (refused|timed out|failed)|Max retries|No matching distribution' "$log" || true)
 	rm -f "$log"
 	[ $said = 0 ] || [ -z "$line" ] || skip "the network: ${line:0:160}"
 	return $said

@@ -113,7 +113,9 @@ def test_what_cannot_run_here_is_skipped_aloud_where_that_is_asked_for(
     said = capfd.readouterr().out
     assert "lane poor: skipped: needs apt install no-such-program" in said
     assert "lane moon: skipped: needs a moon" in said
+    assert said.endswith("no lane could run here\n")
     assert lanes.main(["--possible", "moon", "bad"]) == 1
+    assert capfd.readouterr().out.endswith("0 passed, 1 failed, 1 skipped\n")
     assert lanes.DOCUMENT.read_text() == before and not list(lanes.KEPT.glob("*.json"))
     # without it, a lane that cannot run is a failure
     assert lanes.main(["moon"]) == 1
