@@ -1,5 +1,6 @@
 """The journal after damage, power cuts and other accidents: what is whole comes back, and no number twice."""
 
+import contextlib
 import os
 import random
 import shutil
@@ -232,3 +233,18 @@ def test_a_disk_that_fills_while_a_damaged_file_is_mended_costs_no_reading(path,
     mended = Journal(path)
     assert numbers(mended) == list(range(1, 151))
     mended.close()
+
+
+def test_a_reading_whose_conductor_alone_is_damaged_is_restored_from_its_text(path):
+    journal = Journal(path)
+    fill(journal, 2)
+    journal.close()
+    with contextlib.closing(sqlite3.connect(path)) as db:
+        db.execute("UPDATE readings SET conductor = 'L\x01', validity = 'gooe' WHERE sequence = 2")
+        db.commit()
+    journal = Journal(path)
+    assert [(row.sequence, row.conductor) for row in journal.pending(0, 3)] == [(1, "L1"), (2, "L2"), (3, "L3")]
+    journal.close()
+    with contextlib.closing(sqlite3.connect(path)) as db:
+        found = db.execute("SELECT conductor, validity, fate FROM readings WHERE sequence = 2").fetchone()
+    assert found == ("L2", "good", "pending")

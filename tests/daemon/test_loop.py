@@ -1,7 +1,9 @@
 """The loop with a real worker process, a real journal, and a clock that is handed in."""
 
 import json
+import signal
 import sqlite3
+import subprocess
 import sys
 import threading
 import time
@@ -292,3 +294,29 @@ def test_a_disk_that_refuses_is_told_and_nothing_is_lost(tmp_path, hand):
     assert seen[-1] == "ok"
     made = [r["sequence"] for r in rows(tmp_path)]
     assert made == list(range(1, 2 * len(seen) + 1))
+
+
+ORDERED = """
+import sys
+from sagnode.daemon.loop import Orders
+orders = Orders()
+orders.install()
+print("ready", flush=True)
+while not orders.stop:
+    orders.wait(0.00001)
+    if orders.reload:
+        orders.reload_done()
+"""
+
+
+def test_an_order_in_any_moment_of_the_wait_is_taken_and_never_hangs():
+    with subprocess.Popen([sys.executable, "-c", ORDERED], stdout=subprocess.PIPE) as process:
+        try:
+            process.stdout.readline()
+            until = time.monotonic() + 2.0
+            while time.monotonic() < until:
+                process.send_signal(signal.SIGHUP)
+            process.send_signal(signal.SIGTERM)
+            assert process.wait(30) == 0
+        finally:
+            process.kill()

@@ -22,6 +22,7 @@ import threading
 import time
 import traceback
 from concurrent.futures import ThreadPoolExecutor
+from datetime import UTC, datetime
 from pathlib import Path
 
 HERE = Path(__file__).parent
@@ -113,7 +114,18 @@ def mounts_of_its_own():
         raise OSError(ctypes.get_errno(), "mount --make-rprivate /")
 
 
-def one(name, share, seed):
+def this_run():
+    """What tells this run of the campaign from any other: the commit it runs at, and when it began."""
+    git = ["git", "-C", str(ROOT)]
+    commit = subprocess.run([*git, "rev-parse", "--short", "HEAD"], check=False, capture_output=True, text=True)
+    # The document itself is what a run writes.
+    words = [*git, "status", "--porcelain", "--untracked-files=no", "--", ".", ":!docs/reliability.md"]
+    changed = subprocess.run(words, check=False, capture_output=True, text=True).stdout
+    name = commit.stdout.strip() or "no commit"
+    return f"{name}{', with changes' if changed else ''}, {datetime.now(UTC):%Y-%m-%d %H:%M} UTC"
+
+
+def one(name, share, seed, run):
     """Run a section here, print its part of the table and keep it; returns the exit code."""
     from table import markdown, save, save_absence
 
@@ -133,7 +145,7 @@ def one(name, share, seed):
         save_absence(file, "broke down")
         print(f"--- {name}: BROKE DOWN after {time.monotonic() - began:.0f} s\n{traceback.format_exc()}", flush=True)
         return 1
-    save(file, lines, time.monotonic() - began, seed, share)
+    save(file, lines, time.monotonic() - began, seed, share, run)
     broken = [f"BROKEN: {sentence}\n" for line in lines for sentence in line.verdict()]
     print(f"--- {name}: {time.monotonic() - began:.0f} s\n{markdown(lines)}\n{''.join(broken)}", flush=True)
     return 1 if broken else 0
@@ -142,9 +154,9 @@ def one(name, share, seed):
 class Lanes:
     """Sections in processes of their own, so many at once; those of ALONE when no other runs."""
 
-    def __init__(self, jobs, share, seed, until):
+    def __init__(self, jobs, share, seed, run, until):
         self._jobs, self._until = jobs, until
-        self._words = [sys.executable, __file__, "--share", str(share), "--seed", str(seed), "--here"]
+        self._words = [sys.executable, __file__, "--share", str(share), "--seed", str(seed), "--run", run, "--here"]
 
     def run(self, names):
         shared = [name for name in LONGEST_FIRST if name in names]
@@ -197,6 +209,7 @@ def main():
     parser.add_argument("--jobs", type=int, default=2, help="sections at once")
     parser.add_argument("--minutes", type=float, default=60.0, help="what is not finished by then is ended")
     parser.add_argument("--report", type=Path, help="write the document here")
+    parser.add_argument("--run", help="this run's name; it gives itself one")
     parser.add_argument("--here", action="store_true", help="run the one section in this process")
     args = parser.parse_args()
     names = [name for name in args.only.split(",") if name]
@@ -205,10 +218,14 @@ def main():
             parser.error(f"no section {name!r}; there are {', '.join(SECTIONS)}")
     resource.setrlimit(resource.RLIMIT_AS, (MEMORY_BYTES, MEMORY_BYTES))
     if args.here:
-        return max(one(name, args.share, args.seed) for name in names)
+        return max(one(name, args.share, args.seed, args.run or this_run()) for name in names)
     import conclusion
+    from table import save_run
 
-    Lanes(args.jobs, args.share, args.seed, time.monotonic() + args.minutes * 60).run(names)
+    began, run = time.monotonic(), this_run()
+    Lanes(args.jobs, args.share, args.seed, run, began + args.minutes * 60).run(names)
+    if names:
+        save_run(RESULTS / "run.json", run, names, time.monotonic() - began)
     return conclusion.conclude(SECTIONS, RESULTS, args)
 
 

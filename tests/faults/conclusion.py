@@ -24,8 +24,6 @@ only cost time. The stand-in's numbers carry a checksum, so that a number that c
 - **false**: a published number that differs from the measured one, or any number in an invalid reading.
 - **recovery**: from the fault, or from the moment when the outside world is well again, to the next good reading
   (worker, clock) or the next acknowledgement (broker).
-
-Sections can be run again one by one (`make faults ONLY=disk`); the tables hold the last run of each.
 """
 
 NOTES = """
@@ -80,7 +78,7 @@ def conclude(names, results, args):
         print(f"BROKEN: {sentence}")
     if args.report:
         text = INTRODUCTION.format(seed=", ".join(map(str, sorted(seeds))))
-        text += f"\n{summary(lines)}\n\n{markdown(lines)}\n\n"
+        text += f"\n{provenance(names, results)}\n\n{summary(lines)}\n\n{markdown(lines)}\n\n"
         text += f"Time: {seconds / 60:.0f} minutes of sections, {args.jobs} at once ({'; '.join(parts)}).\n"
         text += "".join(f"\nNot in the table: {name}, {why}.\n" for name, why in absent.items())
         text += "".join(f"\n**Not kept:** {sentence}.\n" for sentence in broken)
@@ -95,6 +93,20 @@ def conclude(names, results, args):
         args.report.write_text(text)
     print("ALL KEPT" if not broken and not absent else f"{len(broken)} broken, {len(absent)} not run", file=sys.stderr)
     return 1 if broken or any("broke down" in why or "time" in why for why in absent.values()) else 0
+
+
+def provenance(names, results):
+    """Whether all of it is one run, of which commit and how long; else which section is of which run."""
+    runs = {}
+    for name in names:
+        found = load(results / f"{name}.json")
+        if "absent" not in found:
+            runs.setdefault(found["run"], []).append(name)
+    whole = load(results / "run.json")
+    if [whole.get("run")] == list(runs) and set(whole["sections"]) == set(names):
+        return f"One run of all sections, {whole['seconds'] / 60:.0f} minutes without a break (commit {whole['run']})."
+    parts = "; ".join(f"{', '.join(sections)}: commit {run}" for run, sections in runs.items())
+    return f"Sections can be run again one by one (`make faults ONLY=disk`), and were: {parts}."
 
 
 def summary(lines):

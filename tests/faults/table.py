@@ -87,9 +87,15 @@ class Line:
         return [self.fault, *(str(n) for n in counts), median, greatest, remark]
 
 
-def save(path, lines, seconds, seed, share):
+def save(path, lines, seconds, seed, share, run):
     """Keep a section's lines, so that the others can be run at another time."""
-    _write(path, {"seconds": seconds, "seed": seed, "share": share, "lines": [asdict(line) for line in lines]})
+    lines = [asdict(line) for line in lines]
+    _write(path, {"run": run, "seconds": seconds, "seed": seed, "share": share, "lines": lines})
+
+
+def save_run(path, run, names, seconds):
+    """Keep how long a run took from its begin to its end, and what was in it."""
+    _write(path, {"run": run, "sections": names, "seconds": seconds})
 
 
 def save_absence(path, why):

@@ -312,7 +312,7 @@ class Journal:
         """The readings that pass their checksum; the others are set aside."""
         rows: list[Row] = []
         for one in found:
-            row = table.sound(one)
+            row = table.sound(one) or table.restored(self._db, one)
             if row is None:
                 self._remark(f"reading {one[0]} is damaged on the disk; set aside")
                 table.set_damaged_aside(self._db, one[0])

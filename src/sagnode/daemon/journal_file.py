@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import sqlite3
 import zlib
 from collections.abc import Iterator
@@ -134,6 +135,17 @@ def text_of(data: bytes) -> str:
 def checksum(sequence: object, conductor: object, text: object) -> int:
     """Over all that a consumer will see; whatever a damaged row holds instead of text is covered as well."""
     return zlib.crc32(f"{sequence}\n{conductor}\n{text}".encode(errors="replace"))
+
+
+def described(text: str) -> tuple[int, str, str, str]:
+    """The columns before the text, out of the text: number, time of acquisition, conductor, validity.
+
+    Raises:
+        ValueError, KeyError, TypeError: it is no reading.
+    """
+    reading = json.loads(text)
+    acquired_at = datetime.fromisoformat(reading["acquired_at"]).astimezone(UTC).isoformat(timespec="microseconds")
+    return reading["sequence"], acquired_at, reading["conductor"], reading["quality"]["validity"]
 
 
 def is_sound(row: tuple[object, ...]) -> bool:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Any
 
-from sagnode.daemon.journal_file import COLUMNS, INSERT, checksum, is_sound, transaction
+from sagnode.daemon.journal_file import COLUMNS, INSERT, checksum, described, is_sound, transaction
 from sagnode.message import ReadingHeader
 
 _DELETE_CHUNK = 500
@@ -171,6 +171,23 @@ def sound(found: Found) -> Row | None:
     """The reading, None when it fails its checksum."""
     sequence, conductor, text, crc = found
     return Row(sequence, conductor, text) if checksum(sequence, conductor, text) == crc else None
+
+
+def restored(db: sqlite3.Connection, found: Found) -> Row | None:
+    """A reading that fails its checksum because another column than its text is damaged, written anew from its text."""
+    sequence, _, text, crc = found
+    try:
+        number, acquired_at, conductor, validity = described(text)
+    except (ValueError, KeyError, TypeError, RecursionError):
+        return None
+    if number != sequence or checksum(sequence, conductor, text) != crc:
+        return None
+    with transaction(db):
+        db.execute(
+            "UPDATE readings SET acquired_at = ?, conductor = ?, validity = ? WHERE sequence = ?",
+            (acquired_at, conductor, validity, sequence),
+        )
+    return Row(sequence, conductor, text)
 
 
 def backlog(db: sqlite3.Connection) -> Backlog:

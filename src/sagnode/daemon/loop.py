@@ -10,9 +10,11 @@ becomes an invalid reading or a line of health. It ends when it is told to, or w
 
 from __future__ import annotations
 
+import contextlib
 import logging
+import os
+import select
 import signal
-import threading
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -55,12 +57,18 @@ class Ending(Enum):
 
 
 class Orders:
-    """What signals have asked for; a handler only sets a flag."""
+    """What signals have asked for; a handler only sets a flag and writes into a pipe.
+
+    It runs between any two steps of the main thread, perhaps while that one holds a lock of :mod:`threading`: to wake
+    it by an event of that module would wait for that lock for ever.
+    """
 
     def __init__(self) -> None:
         self.stop = False
         self.reload = False
-        self._news = threading.Event()
+        self._news, self._bell = os.pipe()
+        for end in (self._news, self._bell):
+            os.set_blocking(end, False)
 
     def install(self) -> None:
         """SIGTERM and SIGINT stop, SIGHUP reloads."""
@@ -70,17 +78,20 @@ class Orders:
 
     def wait(self, seconds: float) -> None:
         """Sleep, but wake at once for an order."""
-        self._news.wait(seconds)
+        select.select([self._news], [], [], seconds)
 
     def _set(self, name: str) -> None:
         setattr(self, name, True)
-        self._news.set()
+        with contextlib.suppress(BlockingIOError):  # full of orders that nobody has looked at yet
+            os.write(self._bell, b"!")
 
     def reload_done(self) -> None:
         """The order to reload was carried out."""
         self.reload = False
         if not self.stop:
-            self._news.clear()
+            with contextlib.suppress(BlockingIOError):
+                while os.read(self._news, 4096):
+                    pass
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,6 @@ import re
 import shutil
 import sqlite3
 from collections.abc import Iterator
-from datetime import UTC, datetime
 from pathlib import Path
 
 from sagnode.daemon.files import sync_directory
@@ -24,6 +23,7 @@ from sagnode.daemon.journal_file import (
     COLUMNS,
     INSERT,
     checksum,
+    described,
     forget_old_quarantine,
     is_sound,
     open_file,
@@ -183,14 +183,7 @@ def salvage(path: Path, up_to: int) -> Iterator[Row]:
 def _owed_if_unsure(row: Row) -> Row:
     """A reading whose fate cannot be read is sent again rather than never."""
     text, crc, fate, delivered_at = row[4:]
-    return row if fate in _FATES else (*_described(str(text)), text, crc, "pending", delivered_at)
-
-
-def _described(text: str) -> Row:
-    """The columns before the text, out of the text."""
-    reading = json.loads(text)
-    acquired_at = datetime.fromisoformat(reading["acquired_at"]).astimezone(UTC).isoformat(timespec="microseconds")
-    return reading["sequence"], acquired_at, reading["conductor"], reading["quality"]["validity"]
+    return row if fate in _FATES else (*described(str(text)), text, crc, "pending", delivered_at)
 
 
 def _readable(db: sqlite3.Connection, up_to: int) -> Iterator[Row]:
@@ -240,7 +233,7 @@ def _row_at(data: bytes) -> Row | None:
         # As latin-1 a character is a byte, so that the end that JSON finds is an offset into the bytes.
         _, end = json.JSONDecoder().raw_decode(data.decode("latin-1"))
         text = data[:end].decode()
-        before = _described(text)
+        before = described(text)
     except (ValueError, KeyError, TypeError):
         return None
     for size in _CRC_BYTES:
