@@ -111,8 +111,10 @@ def _where_the_time_is(cases: Cases) -> str:
     parts = ", ".join(f"{words[name]} {spent[name]:.0f}" for name in order)
     return flow(
         f"""Where a target is missed: of the {1e3 * row["min"]:.0f} ms of three conductors in a 12-megapixel frame, in
-        ms: {parts}, all else {max(spent["rest"], 0.0):.0f}. The last section says what reading the needed pixels takes
-        by itself."""
+        ms: {parts}, all else {max(spent["rest"], 0.0):.0f}. The last section says what OpenCV's calls, which read
+        the needed pixels, take by themselves. Most of the rest is NumPy on arrays of some hundreds to thousands of
+        numbers, where calling costs as much as the arithmetic: fewer and larger steps make it less, and compiled code
+        of its own, which this program does without, would take most of it away."""
     )
 
 

@@ -54,30 +54,33 @@ def straighten(image: GreyImage | Singles, pixels: FloatArray, normal: FloatArra
     An 8-bit frame is made single precision piece by piece along the polyline, only where the ribbon lies.
     """
     across = offsets.astype(np.float32)
+    if image.dtype == np.float32 or len(pixels) < 2:
+        return _sampled(image.astype(np.float32, copy=False), pixels, normal, across)
     ribbon = np.empty((len(pixels), len(offsets)), dtype=np.float32)
-    whole = image.dtype == np.float32
-    piece = max(1, len(pixels))
-    if not whole and len(pixels) > 1:
-        spacing = float(np.hypot(*(pixels[-1] - pixels[0]))) / (len(pixels) - 1)
-        piece = max(8, int(PIECE_PX / max(spacing, 0.1)))
-    for start in range(0, len(pixels), piece):
+    spacing = float(np.hypot(*(pixels[-1] - pixels[0]))) / (len(pixels) - 1)
+    piece = max(8, int(PIECE_PX / max(spacing, 0.1)))
+    # the box of every piece: the frame ends where it ends, and two pixels are the least that can be interpolated
+    starts = np.arange(0, len(pixels), piece)
+    first, last = pixels + offsets[0] * normal, pixels + offsets[-1] * normal
+    most = np.array(image.shape[::-1]) - 2.0
+    low = np.floor(np.minimum.reduceat(np.minimum(first, last), starts))
+    high = np.ceil(np.maximum.reduceat(np.maximum(first, last), starts)) + 2
+    low = np.minimum(np.maximum(low, 0), most)
+    high = np.minimum(np.maximum(high, low + 2), most + 2)
+    boxes = np.concatenate([low, high], axis=1).astype(int).tolist()
+    for start, (left, top, right, bottom) in zip(starts.tolist(), boxes, strict=True):
         rows = slice(start, start + piece)
-        point, turned = pixels[rows], normal[rows]
-        origin = np.zeros(2)
-        part = image
-        if not whole:
-            ends = np.concatenate([point + offsets[0] * turned, point + offsets[-1] * turned])
-            size = np.array(image.shape[::-1])
-            origin = np.clip(np.floor(ends.min(axis=0)), 0, size - 2)
-            left, top = origin.astype(int)
-            right, bottom = np.clip(np.ceil(ends.max(axis=0)) + 2, origin + 2, size).astype(int)
-            part = image[top:bottom, left:right].astype(np.float32)
-        u, v = ((point[:, i : i + 1] - origin[i]).astype(np.float32) for i in (0, 1))
-        nu, nv = (turned[:, i : i + 1].astype(np.float32) for i in (0, 1))
-        ribbon[rows] = cv2.remap(
-            part, u + across * nu, v + across * nv, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
-        )
+        part = image[top:bottom, left:right].astype(np.float32)
+        ribbon[rows] = _sampled(part, pixels[rows] - (left, top), normal[rows], across)
     return ribbon
+
+
+def _sampled(image: Singles, pixels: FloatArray, normal: FloatArray, across: Singles) -> Singles:
+    """Bilinear values (N, K) of a picture at offsets (K,) along normals (N, 2) from a polyline (N, 2)."""
+    u, v = pixels.astype(np.float32).T[..., None]
+    nu, nv = normal.astype(np.float32).T[..., None]
+    values = cv2.remap(image, u + across * nu, v + across * nv, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    return np.asarray(values, dtype=np.float32)
 
 
 def line_response(
