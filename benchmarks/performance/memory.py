@@ -37,7 +37,7 @@ def measure(plan: Plan) -> dict[str, Any]:
         "methods": {name: {m: _child(m, nodes[name].path) for m in METHODS} for name in NAMES},
         "worker": {name: _worker_peak(nodes[name]) for name in NAMES},
         "worker_burst": _worker_peak(write_node(shot("field", plan.folder), plan.folder / "node-field-8", burst=8)),
-        "worker_soak": worker_soak(nodes["lab"], plan.worker_readings),
+        "worker_soak": worker_soak(nodes["lab"], plan.worker_readings, plan.soak_s),
         "daemon_soak": daemon_soak(plan, plan.daemon_readings),
         "status": status_cost(plan),
     }
@@ -78,17 +78,18 @@ def _worker_peak(loaded: LoadedNode) -> dict[str, float]:
         return {"ready_kb": ready, "peak_kb": peak_kb(pid), "after_kb": resident_kb(pid), "elapsed_s": min(elapsed)}
 
 
-def worker_soak(loaded: LoadedNode, readings: int) -> dict[str, Any]:
-    """The real worker's resident memory over many readings of a small frame."""
+def worker_soak(loaded: LoadedNode, readings: int, most_s: float) -> dict[str, Any]:
+    """The real worker's resident memory over many readings of a small frame, for ``most_s`` seconds at most."""
     steps: list[float] = []
     resident: list[float] = []
     with _worker(loaded) as worker:
         assert worker.hello is not None
-        for number in range(readings):
+        end = time.monotonic() + most_s
+        while len(steps) < readings and time.monotonic() < end:
             _ask(worker)
-            steps.append(number + 1)
+            steps.append(len(steps) + 1)
             resident.append(resident_kb(worker.hello.pid))
-    return {"readings": readings, "slope": asdict(slope(steps, resident)), "kb": _thinned(steps, resident)}
+    return {"readings": len(steps), "slope": asdict(slope(steps, resident)), "kb": _thinned(steps, resident)}
 
 
 def record_reply(plan: Plan) -> Path:
@@ -152,7 +153,7 @@ def daemon_soak(plan: Plan, readings: int) -> dict[str, Any]:
         stand_in_daemon(plan, state, cycles, broker_table(broker)) as (process, _),
     ):
         began = time.monotonic()
-        while process.poll() is None:
+        while process.poll() is None and time.monotonic() - began < plan.soak_s:
             with contextlib.suppress(FileNotFoundError, ValueError, ProcessLookupError):
                 sample = resident_kb(process.pid), cpu_s(process.pid), journalled(state)
                 for series, value in zip((resident, spent, steps), sample, strict=True):

@@ -24,6 +24,8 @@ class Plan:
     burst_frames: dict[str, tuple[int, ...]]
     daemon_readings: int
     worker_readings: int
+    soak_s: float
+    """After so many seconds a soak ends with the readings that it has."""
     idle_s: float
     written_readings: int
 
@@ -40,13 +42,14 @@ def quick(folder: Path) -> Plan:
         burst_frames={"lab": (1, 2, 4, 8), "tower": (1, 2, 4, 8), "field": (1, 8)},
         daemon_readings=1500,
         worker_readings=150,
+        soak_s=120.0,
         idle_s=65.0,
         written_readings=120,
     )
 
 
 def thorough(folder: Path) -> Plan:
-    """The numbers of a release: a quarter of an hour and more."""
+    """The numbers of a release: an hour, half of which are the soaks."""
     return replace(
         quick(folder),
         thorough=True,
@@ -54,7 +57,8 @@ def thorough(folder: Path) -> Plan:
         slow_rounds=5,
         literal_templates={"lab": 300, "tower": 300, "field": 60},
         daemon_readings=10_000,
-        worker_readings=1000,
+        worker_readings=10_000,
+        soak_s=900.0,
         idle_s=600.0,
         written_readings=600,
     )

@@ -63,7 +63,7 @@ def main() -> int:
 
 def _options() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description="speed, memory and idle cost")
-    parser.add_argument("--thorough", action="store_true", help="more repeats, longer soaks: half an hour")
+    parser.add_argument("--thorough", action="store_true", help="more repeats, longer soaks: an hour")
     parser.add_argument("--only", nargs="*", choices=PARTS, default=list(PARTS), help="parts; none: the report again")
     parser.add_argument("--out", type=Path, default=ROOT / "docs", help="folder of the report")
     return parser.parse_args()
