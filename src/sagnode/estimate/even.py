@@ -78,9 +78,8 @@ def find_even(
     finals = sorted(filter(None, refined), key=_merit, reverse=True)
     if not finals:
         return None
-    finals[0] = completed(image, conductor, registered, finals[0], [])
     rival = max((_rivalry(image, finals[0], other) for other in finals[1:]), default=0.0)
-    return replace(finals[0], rival=rival)
+    return replace(completed(image, conductor, registered, finals[0], []), rival=rival)
 
 
 def _near_enough(view: View, candidate: Candidate, found: Matched) -> bool:

@@ -44,11 +44,12 @@ CHANCE_MAX = 1e-8
 faint wire that crosses sky and trees stands out everywhere, but in their mean the trees drown it."""
 SUPPORT_MIN = 0.30
 """Least share of the curve in view that must stand out; a window does so by chance once in twenty."""
-FORETOLD_ROUNDS, FORETOLD_ENOUGH = 3, 0.95
-"""Most rounds of following a wire where it is foretold, and the share of usable blocks that leaves nothing to do."""
+FORETOLD_BLOCKS_PX, FORETOLD_ENOUGH = (12.0, 24.0, 12.0), 0.95
+"""Lengths of blocks in the rounds of following a wire where it is foretold (long ones see what is weak all along), and
+the share of usable blocks that leaves nothing to do."""
 FORETOLD_PX, FORETOLD_Z = 0.7, 3.0
 """How far aside a block is looked for: so many px, and so many standard uncertainties of the solved curve."""
-FORETOLD_BLOCK_PX, FORETOLD_MARGIN_PX = 12.0, 1.5
+FORETOLD_MARGIN_PX = 1.5
 FORETOLD_SAMPLES = 60
 """Places along a curve where its uncertainty is worked out."""
 MEASURED_PX = 0.8
@@ -161,16 +162,12 @@ def completed(
     several things within the usual reach, only what is near the foretold place is looked at. What that adds foretells
     the next stretch, round by round.
     """
-    for _ in range(FORETOLD_ROUNDS):
+    for block_px in FORETOLD_BLOCKS_PX:
         if float(np.mean(found.observed.usable)) > FORETOLD_ENOUGH or not found.solution.converged:
             break
-        again = _foretold(image, conductor, registered, found, others)
-        if again is None or not again.solution.converged:
-            break
-        gained = np.ptp(again.offsets.t) > np.ptp(found.offsets.t) or len(again.offsets.t) > len(found.offsets.t)
-        if not gained:
-            break
-        found = again
+        again = _foretold(image, conductor, registered, found, others, block_px)
+        if again is not None and again.solution.converged and _measured(again) > _measured(found):
+            found = again
     return found
 
 
@@ -180,6 +177,7 @@ def _foretold(
     registered: Registered,
     found: Matched,
     others: list[FloatArray],
+    block_px: float,
 ) -> Matched | None:
     """One more round of measuring and solving, each block looked for as far aside as the solved curve is uncertain."""
     track, theta = found.track, found.solution.theta
@@ -194,7 +192,7 @@ def _foretold(
         STAGES[-1].half_range_px,
         np.minimum(STAGES[-1].half_range_px, FORETOLD_PX + FORETOLD_Z * sigma),
     )
-    block_px = max(FORETOLD_BLOCK_PX, float(track.arc[-1]) / MAX_BLOCKS)
+    block_px = max(block_px, float(track.arc[-1]) / MAX_BLOCKS)
     observed = observe(
         image, track, half_range, others, block_px, STAGES[-1].shifts, STAGES[-1].run, FORETOLD_MARGIN_PX
     )
@@ -277,13 +275,20 @@ def visible_share(matched: Matched) -> float:
 
     A window stands out by its mean; the blocks in it, compared with the profile of a wire, may still show it.
     """
-    t = matched.observed.t
-    if not len(t):
-        return share_standing_out(matched)
-    measured = np.zeros(len(t), dtype=bool)
+    return _share(matched.track, matched.sighting.seen | _measured_at(matched))
+
+
+def _measured(matched: Matched) -> float:
+    """Share of the span's horizontal length over which blocks show the wire on the curve."""
+    return _share(matched.track, _measured_at(matched))
+
+
+def _measured_at(matched: Matched) -> NDArray[np.bool_]:
+    """At which samples (N,) of the track a block shows the wire on the curve."""
     use = matched.observed.usable
-    measured[use] = np.maximum(np.abs(matched.solution.residual), matched.observed.sigma[use]) < MEASURED_PX
-    return _share(matched.track, matched.sighting.seen | _of_blocks(matched.observed, measured, matched.track.t))
+    shown = np.zeros(len(use), dtype=bool)
+    shown[use] = np.maximum(np.abs(matched.solution.residual), matched.observed.sigma[use]) < MEASURED_PX
+    return _of_blocks(matched.observed, shown, matched.track.t)
 
 
 def _of_blocks(observed: Observed, value: NDArray[np.bool_], t: FloatArray) -> NDArray[np.bool_]:

@@ -177,7 +177,7 @@ def observe(
     for other in others:
         masked |= _near(pixel, normal, other, reach)
     usable = blocks.valid & (rank >= RANK_MIN) & ~masked
-    usable &= _neighbours_agree(blocks, usable, masked)
+    usable &= _neighbours_agree(blocks, usable, masked, own_range < widest)
     usable &= _in_runs(usable, run)
     return Observed(
         track,
@@ -206,8 +206,13 @@ def _in_runs(usable: NDArray[np.bool_], least: int) -> NDArray[np.bool_]:
     return result
 
 
-def _neighbours_agree(blocks: Blocks, usable: NDArray[np.bool_], masked: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Which blocks (M,) have enough usable neighbours on the same smooth line; masked ones are none."""
+def _neighbours_agree(
+    blocks: Blocks, usable: NDArray[np.bool_], masked: NDArray[np.bool_], foretold: NDArray[np.bool_]
+) -> NDArray[np.bool_]:
+    """Which blocks (M,) have enough usable neighbours on the same smooth line.
+
+    Masked ones are none; where the rest of the wire foretells the place, that is one of them.
+    """
     count, exist = np.zeros((2, len(usable)), dtype=int)
     offset, arc = np.nan_to_num(blocks.offset), blocks.arc
     for k in range(1, NEIGHBOURS + 1):
@@ -220,7 +225,7 @@ def _neighbours_agree(blocks: Blocks, usable: NDArray[np.bool_], masked: NDArray
         exist[k:] += ~masked[:-k]
         exist[:-k] += ~masked[k:]
     # at the ends of the curve half of the neighbours do not exist
-    result: NDArray[np.bool_] = count >= np.clip(np.ceil(exist / 2), 1, NEIGHBOURS)
+    result: NDArray[np.bool_] = count + foretold >= np.clip(np.ceil(exist / 2), 1 + foretold, NEIGHBOURS)
     return result
 
 
