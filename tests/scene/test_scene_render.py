@@ -326,3 +326,10 @@ def test_worlds_can_be_bare() -> None:
     scene, moment = simple_scene(backdrop="country")
     bare = replace(scene, world=World(forest_m=0.0, towers=True))
     assert render(bare, moment).image.std() > 5
+
+
+def test_a_landmark_that_the_survey_leaves_out_stands_there_all_the_same() -> None:
+    scene = preset_scene("tower", seed=2)
+    moment = Moment(typical_states(scene.surveyed))
+    fewer = scene.surveyed.model_copy(update={"landmarks": scene.surveyed.landmarks[1:]})
+    np.testing.assert_array_equal(render(replace(scene, surveyed=fewer), moment).image, render(scene, moment).image)

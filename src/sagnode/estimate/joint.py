@@ -22,7 +22,7 @@ from sagnode.geometry.conductor import conductor_derivatives, gravity_direction,
 from sagnode.match.robust import median
 from sagnode.survey import CAMERA, LOAD, SAG, SIZE, SWING, Survey
 
-CORRELATED_PX = 0.04
+CORRELATED_PX = 0.03
 """Least standard deviation of what neighbouring offsets share: residuals of the lens model, the wire's own shading."""
 CORRELATED_SHARE = 0.7
 """The same, relative to an offset's own: what makes a block uncertain, texture behind it, reaches over to the next."""

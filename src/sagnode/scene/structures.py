@@ -133,7 +133,9 @@ def landmark_kind(scene: Scene, name: str) -> LandmarkKind:
         return scene.world.landmark_kinds[name]
     if scene.world.backdrop != "country" or not scene.world.towers:
         return "target"
-    place = np.array(next(m.position for m in scene.surveyed.landmarks if m.id == name))
+    # the survey leaves out what it could not click; it stands there all the same
+    known = (m.position for m in (*scene.surveyed.landmarks, *scene.true.landmarks) if m.id == name)
+    place = np.array(next(known))
     for conductor in scene.surveyed.conductors:
         for end in (conductor.near, conductor.far):
             joint = np.array(end) + (scene.world.insulator_m if conductor.measured else 0.0) * UP
