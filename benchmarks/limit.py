@@ -65,10 +65,10 @@ def limit(
     theta = true_theta(survey, scene, moment, true)
     free = survey.unknowns()
     information = np.diag(1 / survey.prior_sigma() ** 2)
-    information[CAMERA, CAMERA] += _of_landmarks(site, survey, theta)
+    information[CAMERA, CAMERA] += landmark_information(site, survey, theta)
     for wire in seen:
         if wire.place.size >= 2:
-            jacobian = _across(survey, theta, wire.place)
+            jacobian = across(survey, theta, wire.place)
             kept = np.isfinite(jacobian).all(axis=1)
             weight = information_per_pixel(wire, moment)
             information += (jacobian[kept] * weight[kept, None]).T @ jacobian[kept]
@@ -144,7 +144,7 @@ def _even_and_uneven(chord: FloatArray, state: WireState) -> tuple[float, FloatA
     return sag, terms[1:] / sag
 
 
-def _of_landmarks(site: Site, survey: Survey, theta: FloatArray) -> FloatArray:
+def landmark_information(site: Site, survey: Survey, theta: FloatArray) -> FloatArray:
     """Information (10, 10) of the landmarks in the frame about the camera."""
     intrinsics, pose = survey.camera(theta)
     pixels, _ = project(intrinsics, pose, site.landmark_positions)
@@ -155,7 +155,7 @@ def _of_landmarks(site: Site, survey: Survey, theta: FloatArray) -> FloatArray:
     return np.asarray(np.einsum("nik,nij,njl->kl", by_camera, np.linalg.inv(covariance), by_camera))
 
 
-def _across(survey: Survey, theta: FloatArray, place: FloatArray) -> FloatArray:
+def across(survey: Survey, theta: FloatArray, place: FloatArray) -> FloatArray:
     """Derivatives (N, len θ) of the curve's place across itself at the fractions ``place`` (N,), px."""
 
     def pixels(at: FloatArray, t: FloatArray = place) -> FloatArray:
