@@ -174,6 +174,22 @@ def test_a_step_back_by_an_hour_does_not_stop_the_schedule(tmp_path, hand):
     assert 9 <= count(tmp_path) <= 12
 
 
+def test_a_step_back_between_two_waits_does_not_stop_the_schedule(tmp_path, hand):
+    clock, orders = hand(300)
+    clock.wall += timedelta(days=365)
+    parts = build(tmp_path, "ok", clock, orders)
+    show = parts.showcase.show
+
+    def set_right_meanwhile(readings, **more):
+        show(readings, **more)
+        if readings and clock.wall > START + timedelta(days=300):
+            clock.wall -= timedelta(days=365)
+
+    parts.showcase.show = set_right_meanwhile
+    assert run(parts) is Ending.STOPPED
+    assert len(rows(tmp_path)) > 4
+
+
 def test_a_clock_that_is_wrong_by_decades_and_then_set(tmp_path, hand):
     clock, orders = hand(600, steps=[(100, 40 * 365 * 86400), (200, -39 * 365 * 86400), (300, 1800)])
     run(build(tmp_path, "ok", clock, orders))

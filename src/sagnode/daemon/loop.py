@@ -132,6 +132,8 @@ class Loop:
         self._parts = parts
         self._schedule = parts.schedule
         self._clock = parts.clock
+        self._steps = StepDetector(parts.clock)
+        """Looks on through a whole turn: a step between two waits would else leave a slot that is a year away."""
         self._next_frame_at: datetime | None = None
         self._shown_at = float("-inf")
         self._called_away = Ending.RELOAD
@@ -212,9 +214,13 @@ class Loop:
         parts = self._parts
         if isinstance(self._clock, VirtualClock):
             self._await_worker()
-        steps = StepDetector(self._clock)
+            self._steps = StepDetector(self._clock)  # its jumps are none
         self._out_of_turn = False
         while not self._ordered():
+            step = self._steps.step_s()
+            if step:
+                log.warning("the time of day stepped by %.0f s; the next slot is found anew", step)
+                slot = self._next_slot(None)
             if parts.dialogue is not None and parts.dialogue.wanted():
                 self._out_of_turn = slot is None or slot > self._clock.now()
                 return True
@@ -223,10 +229,6 @@ class Loop:
                 return True
             parts.watchdog.promise(_SLICE_S + _GRACE_S)
             parts.orders.wait(min(left, _SLICE_S))
-            step = steps.step_s()
-            if step:
-                log.warning("the time of day stepped by %.0f s; the next slot is found anew", step)
-                slot = self._next_slot(None)
             if time.monotonic() - self._shown_at > _SHOW_EVERY_S:
                 parts.recorder.retry()
                 parts.worker.start()
