@@ -151,7 +151,7 @@ def run_missing(campaign, times):
             for number in forgotten:
                 del rig.witness.sent[number]
             return of("disk missing at the start: journal in memory, published, carried over", times, rig, recovery,
-                      gaps=True, broken=broken,
+                      gaps=True, broken=broken, forgotten=len(forgotten),
                       remark=f"{len(forgotten)} published, and in memory alone when the power failed")  # fmt: skip
 
 
@@ -314,12 +314,12 @@ def recorded_again(rig):
     return time.monotonic() - began
 
 
-def of(title, times, rig, recovery, *, gaps=False, broken=(), remark=""):
+def of(title, times, rig, recovery, *, gaps=False, broken=(), remark="", forgotten=0):
     books = rig.books(allowed_gaps=gaps)
     broken = list(broken)
     if rig.peak_mb > PEAK_MB:
         broken.append(f"the daemon took {rig.peak_mb:.0f} MB of memory")
-    if books.in_flight > rig.kills:
+    if books.in_flight > rig.kills + forgotten:
         broken.append(f"{books.in_flight} answers were never recorded, and the daemon was killed {rig.kills} times")
     if books.gaps:
         remark = f"{remark}{', ' if remark else ''}numbers skipped"
