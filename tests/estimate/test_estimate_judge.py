@@ -1,0 +1,149 @@
+"""What is followed of a wire seen along the line, what counts as seen of it, and what may be told."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from sagnode.config.load import load_span
+from sagnode.estimate.even import find_even
+from sagnode.estimate.judge import judge
+from sagnode.estimate.matched import Matched, is_wire, looked_at, share_standing_out, survey_of, visible_share
+from sagnode.estimate.register import register
+from sagnode.estimate.tell import propagate
+from sagnode.match.refine import Sighting
+from sagnode.pipeline import load_site
+from sagnode.quality import Cause, Validity
+from sagnode.scene.catenary import WireState
+from sagnode.scene.render import render
+from sagnode.scene.site import demo_site, site_directory
+from sagnode.scene.spec import Moment
+from sagnode.site import Site, SiteConductor
+from sagnode.survey import SAG
+
+HIDDEN_FROM = 0.2
+"""Share of the span beyond which the wire is painted over."""
+SAG_M = 8.0
+
+
+class Found(NamedTuple):
+    site: Site
+    conductor: SiteConductor
+    match: Matched
+
+
+@cache
+def along_the_line(*, hidden: bool = False) -> Found:
+    """The demonstration's conductor L2 as it is found, the far part of it painted over with what is behind it."""
+    scene = demo_site().scene
+    wires = {c.id: WireState(SAG_M, 0.0) for c in scene.surveyed.conductors}
+    site = load_site(load_span(site_directory() / "span.toml").span)
+    conductor = next(c for c in site.conductors if c.id == "L2")
+    image = render(scene, Moment(wires, seed=8)).image
+    if hidden:
+        without = render(scene, Moment({n: w for n, w in wires.items() if n != conductor.id}, seed=8)).image
+        match = along_the_line().match
+        far = match.track.pixels[match.track.t > HIDDEN_FROM]
+        image = painted(image, without, far)
+    registered, reasons = register(site, image)
+    assert not reasons, reasons
+    match = find_even(image, conductor, survey_of(conductor, registered), registered)
+    assert match is not None
+    return Found(site, conductor, looked_at(image, match))
+
+
+def painted(image: NDArray[np.uint8], other: NDArray[np.uint8], places: NDArray[np.float64]) -> NDArray[np.uint8]:
+    result = image.copy()
+    for u, v in places.astype(int):
+        result[max(v - 8, 0) : v + 9, max(u - 8, 0) : u + 9] = other[max(v - 8, 0) : v + 9, max(u - 8, 0) : u + 9]
+    return result
+
+
+def test_a_wire_is_followed_where_the_rest_of_it_foretells_it() -> None:
+    match = along_the_line().match
+    before = match.unaided
+    assert before is not None
+    assert np.ptp(match.offsets.t) > np.ptp(before.offsets.t) + 0.1
+    assert match.sag[1] < before.sag[1]
+    for solution in (before.solution, match.solution):
+        assert abs(solution.theta[SAG] - SAG_M) < 3 * np.sqrt(solution.covariance[SAG, SAG])
+
+
+def test_what_is_not_there_is_not_followed() -> None:
+    match = along_the_line(hidden=True).match
+    beyond = (match.observed.t > HIDDEN_FROM + 0.03) & match.observed.usable
+    assert beyond.mean() < 0.1, "texture is no wire, though a place is foretold"
+    assert abs(match.solution.theta[SAG] - SAG_M) < 3 * np.sqrt(match.solution.covariance[SAG, SAG])
+
+
+def test_a_wire_is_proven_by_its_mean_or_by_the_odds() -> None:
+    match = along_the_line().match
+    most = np.ones(len(match.track.t), dtype=bool)
+    few = np.arange(len(most)) < 0.2 * len(most)
+    for score, chance, seen, proven in (
+        (20.0, 1.0, most, True),
+        (2.0, 1e-9, most, True),
+        (2.0, 1e-3, most, False),
+        (20.0, 1e-9, few, False),
+    ):
+        assert is_wire(replace(match, sighting=Sighting(score, seen, chance))) is proven
+
+
+def test_seen_is_what_stands_out_or_was_measured() -> None:
+    match = along_the_line().match
+    nothing = replace(match, sighting=Sighting(0.0, np.zeros(len(match.track.t), dtype=bool)))
+    assert share_standing_out(nothing) == 0
+    measured = visible_share(nothing)
+    assert 0.25 < measured <= visible_share(match) <= 1
+    unsure = replace(nothing, observed=replace(match.observed, sigma=np.full(len(match.observed.t), 2.0)))
+    assert visible_share(unsure) == 0
+
+
+def test_a_clear_wire_is_good() -> None:
+    site, conductor, match = along_the_line()
+    estimates, _ = propagate(site, conductor, match)
+    assert judge(site, conductor, match, estimates) == (Validity.GOOD, [])
+
+
+def test_no_curve_is_no_conductor() -> None:
+    site, conductor, _ = along_the_line()
+    validity, reasons = judge(site, conductor, None, {})
+    assert validity is Validity.INVALID
+    assert [r.cause for r in reasons] == [Cause.NO_CONDUCTOR]
+
+
+@pytest.mark.parametrize(
+    ("change", "cause"),
+    [
+        ("rival", Cause.AMBIGUOUS),
+        ("unsettled", Cause.NOT_CONVERGED),
+        ("doubtful", Cause.ICE_SUSPECT),
+        ("nothing seen", Cause.NO_CONDUCTOR),
+        ("uncertain", Cause.UNCERTAIN),
+        ("sag outside the survey's", Cause.OUTSIDE_LIMITS),
+    ],
+)
+def test_each_defect_is_refused_by_its_name(change: str, cause: Cause) -> None:
+    site, conductor, match = along_the_line()
+    estimates, _ = propagate(site, conductor, match)
+    sag = estimates["sag"]
+    if change == "rival":
+        match = replace(match, rival=0.9)
+    elif change == "unsettled":
+        match = replace(match, solution=replace(match.solution, converged=False))
+    elif change == "doubtful":
+        match = replace(match, doubtful_load=True)
+    elif change == "nothing seen":
+        match = replace(match, sighting=Sighting(0.0, np.zeros(len(match.track.t), dtype=bool)))
+    elif change == "uncertain":
+        estimates = {**estimates, "sag": sag._replace(u=0.05 * sag.value)}
+    else:
+        estimates = {**estimates, "inplane_sag": sag._replace(value=conductor.survey.sag_range[1] + 1.0)}
+    validity, reasons = judge(site, conductor, match, estimates)
+    assert validity is Validity.INVALID
+    assert cause in [r.cause for r in reasons]
