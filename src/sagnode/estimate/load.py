@@ -25,9 +25,9 @@ from sagnode.match.search import Candidate, search
 from sagnode.site import SiteConductor
 from sagnode.survey import LOAD, SAG, SWING, Survey
 
-LOAD_U = 0.3
+LOAD_U = 0.45
 """Standard uncertainty of each term of an uneven load, where the picture asks for one: ice on half of the span with
-half of the conductor's own weight is a first term of 0.3."""
+half of the conductor's own weight is a first term of 0.3, and a short piece of heavy ice reaches 0.6 in several."""
 LOADS_U = (0.1, LOAD_U)
 """The same for a light load and a heavy one: with these an even curve's residuals are asked whether there is one."""
 LET_IN = 0.02
@@ -35,7 +35,7 @@ LET_IN = 0.02
 less than 0.01."""
 SUSPECT_SUPPORT, SUSPECT_SHARE = 0.6, 0.35
 """Where less of an even curve, or of the span, shows a wire, it is tried: what is beside the curve cannot ask."""
-SURELY = 0.5
+SURELY = 0.2
 """Probability of one conductor's uneven load from which no other is taken for even: ice does not fall on one alone."""
 DOUBTFUL = 9.0
 """Misfit that a light uneven load would take off, from which an even one is not believed; bare wires rarely reach 5."""

@@ -160,8 +160,10 @@ def completed(
 
     Where another wire, or another stretch of this one, runs a few pixels away, and where a faint wire is one among
     several things within the usual reach, only what is near the foretold place is looked at. What that adds foretells
-    the next stretch, round by round.
+    the next stretch, round by round. An uneven load foretells nothing: its terms are free to follow what is found.
     """
+    if found.survey.load_u:
+        return found
     for block_px in FORETOLD_BLOCKS_PX:
         if float(np.mean(found.observed.usable)) > FORETOLD_ENOUGH or not found.solution.converged:
             break
@@ -273,8 +275,11 @@ def share_standing_out(matched: Matched) -> float:
 def visible_share(matched: Matched) -> float:
     """Share of the span's horizontal length over which the wire is seen: it stands out, or was measured on the curve.
 
-    A window stands out by its mean; the blocks in it, compared with the profile of a wire, may still show it.
+    A window stands out by its mean; the blocks in it, compared with the profile of a wire, may still show it. Under an
+    uneven load they prove less: its terms can bend the curve through what is there.
     """
+    if matched.survey.load_u:
+        return share_standing_out(matched)
     return _share(matched.track, matched.sighting.seen | _measured_at(matched))
 
 
