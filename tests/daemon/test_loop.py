@@ -65,7 +65,7 @@ class HandOrders(Orders):
         if self.steps and self.clock.mono - 1000.0 >= self.steps[0][0]:
             self.clock.wall += timedelta(seconds=self.steps.pop(0)[1])
         if self.clock.mono >= self.stop_at:
-            self._set("stop")
+            self.give(signal.SIGTERM)
 
 
 def build(
@@ -260,7 +260,7 @@ def test_a_virtual_clock_waits_for_a_worker_that_is_being_replaced(tmp_path):
 def test_an_order_ends_a_reading_in_flight(tmp_path):
     orders = Orders()
     parts = build(tmp_path, "hang", SystemClock(), orders, deadline_s=60.0)
-    threading.Timer(1.0, lambda: orders._set("stop")).start()
+    threading.Timer(1.0, lambda: orders.give(signal.SIGTERM)).start()
     before = time.monotonic()
     assert run(parts) is Ending.STOPPED
     assert time.monotonic() - before < 60.0  # the reading's own deadline
@@ -269,7 +269,7 @@ def test_an_order_ends_a_reading_in_flight(tmp_path):
 
 def test_reload_ends_the_loop_too(tmp_path, hand):
     clock, orders = hand(1e9)
-    orders._set("reload")
+    orders.give(signal.SIGHUP)
     assert run(build(tmp_path, "ok", clock, orders)) is Ending.RELOAD
     orders.reload_done()
     assert not orders.reload

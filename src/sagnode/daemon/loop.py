@@ -20,6 +20,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from enum import Enum
+from types import FrameType
 
 from sagnode.daemon.clock import Clock, StepDetector, VirtualClock
 from sagnode.daemon.dialogue import Dialogue
@@ -57,37 +58,54 @@ class Ending(Enum):
 
 
 class Orders:
-    """What signals have asked for; a handler only sets a flag and writes into a pipe.
+    """What signals have asked for: they are put down in a dictionary, and a byte in a pipe wakes whoever waits.
 
-    It runs between any two steps of the main thread, perhaps while that one holds a lock of :mod:`threading`: to wake
-    it by an event of that module would wait for that lock for ever.
+    A handler runs between any two steps of the main thread, perhaps while that one holds a lock of :mod:`threading`; to
+    wake it by an event of that module would wait for that lock for ever. And a handler written in Python is entered
+    anew by the next signal before its first line, so that a flood of them exhausts the stack. Both steps are the
+    interpreter's own.
     """
 
+    _STOP = frozenset({signal.SIGTERM, signal.SIGINT})
+    _RELOAD = frozenset({signal.SIGHUP})
+
     def __init__(self) -> None:
-        self.stop = False
-        self.reload = False
+        self._came: dict[int, FrameType | None] = {}
         self._news, self._bell = os.pipe()
         for end in (self._news, self._bell):
             os.set_blocking(end, False)
 
     def install(self) -> None:
         """SIGTERM and SIGINT stop, SIGHUP reloads."""
-        for number in (signal.SIGTERM, signal.SIGINT):
-            signal.signal(number, lambda *_: self._set("stop"))
-        signal.signal(signal.SIGHUP, lambda *_: self._set("reload"))
+        # full of bytes that nobody has looked at yet: it wakes all the same
+        signal.set_wakeup_fd(self._bell, warn_on_full_buffer=False)
+        for number in self._STOP | self._RELOAD:
+            signal.signal(number, self._came.setdefault)
+
+    @property
+    def stop(self) -> bool:
+        """Whether to stop."""
+        return not self._STOP.isdisjoint(self._came)
+
+    @property
+    def reload(self) -> bool:
+        """Whether to read the configuration anew."""
+        return not self._RELOAD.isdisjoint(self._came)
+
+    def give(self, number: int) -> None:
+        """Give an order as its signal would."""
+        self._came.setdefault(number, None)
+        with contextlib.suppress(BlockingIOError):
+            os.write(self._bell, b"!")
 
     def wait(self, seconds: float) -> None:
         """Sleep, but wake at once for an order."""
         select.select([self._news], [], [], seconds)
 
-    def _set(self, name: str) -> None:
-        setattr(self, name, True)
-        with contextlib.suppress(BlockingIOError):  # full of orders that nobody has looked at yet
-            os.write(self._bell, b"!")
-
     def reload_done(self) -> None:
         """The order to reload was carried out."""
-        self.reload = False
+        for number in self._RELOAD:
+            self._came.pop(number, None)
         if not self.stop:
             with contextlib.suppress(BlockingIOError):
                 while os.read(self._news, 4096):
