@@ -10,7 +10,8 @@ import pytest
 from sagnode.calibrate.files import save_intrinsics
 from sagnode.config.load import load_span
 from sagnode.estimate.even import find_even
-from sagnode.estimate.joint import curve_residual, unevenness
+from sagnode.estimate.evidence import unevenness
+from sagnode.estimate.joint import curve_residual
 from sagnode.estimate.load import LOADS_U
 from sagnode.estimate.matched import survey_of
 from sagnode.estimate.register import register

@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 from sagnode.geometry.bundle import sub_conductor_offsets
 from sagnode.geometry.camera import Intrinsics, Pose, rotation_from_angles
 from sagnode.match.bundle import lines
-from sagnode.match.localise import localise_beside, wire_kernel
+from sagnode.match.kernels import wire_kernel
+from sagnode.match.localise import localise_beside
 from sagnode.match.refine import trace
 from sagnode.match.ribbon import line_response, normals
 from sagnode.match.templates import View

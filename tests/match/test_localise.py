@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from sagnode.match.localise import localise, localise_beside, wire_kernel
+from sagnode.match.kernels import wire_kernel
+from sagnode.match.localise import localise, localise_beside
 from sagnode.match.ribbon import normals, straighten
 
 Floats = NDArray[np.float64]

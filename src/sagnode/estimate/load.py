@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from sagnode.capture.port import GreyImage
-from sagnode.estimate.joint import Unevenness, log_odds, solve, unevenness
+from sagnode.estimate.evidence import Unevenness, log_odds, unevenness
+from sagnode.estimate.joint import solve
 from sagnode.estimate.matched import (
     STAGES,
     Matched,

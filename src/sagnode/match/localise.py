@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import combinations
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -19,16 +18,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from sagnode.capture.port import GreyImage
 from sagnode.geometry.camera import FloatArray
+from sagnode.match.kernels import BLUR_PX, MARGIN_PX, STEP_PX, bundle_kernels, kernel_reach, shared_noise, steps
 from sagnode.match.ribbon import arc_length, straighten
 
 AnyGrey = GreyImage | NDArray[np.float32]
 
-STEP_PX = 0.5
-"""Sampling across the curve."""
-BLUR_PX = 0.9
-"""Standard deviation of lens, sensor and bilinear sampling together; 0.7 to 1.3 hardly matters."""
-MARGIN_PX = 3.0
-"""Background that a kernel takes in on either side of the wire's blurred edge."""
 FLOOR_GREY = 0.2
 """Structure below this many grey levels is taken for 8-bit rounding: it cannot make a peak."""
 ROUNDING_GREY = 0.15
@@ -39,7 +33,7 @@ UNEVEN = 1.1
 """Factor of the noise seen on one side more than on the other, for what taking the lesser of two and leaving out the
 kernel's slope cost it; see the tests."""
 SHARING = 1.05
-"""Factor of the variance (see :func:`_overlap`) from which windows about sub-conductors share pixels."""
+"""Factor of the variance (see ``kernels.shared_noise``) from which windows about sub-conductors share pixels."""
 SYMMETRIC_PX = 0.2
 """Sub-conductors are mirrored about a bundle's centre line when their places differ by less."""
 CORRELATED = 2.7
@@ -69,23 +63,6 @@ class Blocks:
     correlation: FloatArray
     contrast: FloatArray
     valid: NDArray[np.bool_]
-
-
-def wire_kernel(width_px: ArrayLike, positions: FloatArray, blur_px: float = BLUR_PX) -> FloatArray:
-    """Blurred box of ``width_px`` (...) and height 1 at ``positions`` (..., N) px across: shape (..., N).
-
-    A wire thinner than a pixel keeps the shape of the blur, with its peak scaled down by its width.
-    """
-    half = 0.5 * np.maximum(np.asarray(width_px, dtype=np.float64), 0.05)[..., None]
-    scale = 1 / (blur_px * np.sqrt(2.0))
-    return 0.5 * (_erf((positions + half) * scale) - _erf((positions - half) * scale))
-
-
-def _erf(x: FloatArray) -> FloatArray:
-    """Error function, absolute error under 1.5e-7 (Abramowitz and Stegun 7.1.26)."""
-    t = 1 / (1 + 0.3275911 * np.abs(x))
-    series = t * (0.254829592 + t * (-0.284496736 + t * (1.421413741 + t * (-1.453152027 + t * 1.061405429))))
-    return np.asarray(np.sign(x) * (1 - series * np.exp(-x * x)))
 
 
 @dataclass(frozen=True)
@@ -170,14 +147,14 @@ def localise_beside(
         members = np.zeros((1, len(pixels)))
     wires = [pixels + offset[:, None] * normal for offset in members] if len(members) > 1 else [pixels]
     middles = np.add.reduceat(members, starts, axis=1) / size
-    kernels = bundle_kernels(width, middles, STEP_PX * _steps(near), blur_px)
+    kernels = bundle_kernels(width, middles, STEP_PX * steps(near), blur_px)
     profiles = [_profiles(image, wire, normal, starts, reach + near, far + near) for wire in wires]
     compared = [compare(profile, kernel) for profile, kernel in zip(profiles, kernels, strict=True)]
     amplitude, energy = (np.sum(part, axis=0) for part in zip(*compared, strict=True))
     kernel = np.concatenate(kernels, axis=1)
     window = reach + centres[:, None, None] + np.arange(-far, far + 1)
     row = np.arange(len(starts))[:, None]
-    overlap = _overlap(kernels, middles)
+    overlap = shared_noise(kernels, middles)
     position, sigma, snr, likeness, contrast, noise = _peaks(
         amplitude[row, window], energy[row, window], kernel, len(wires), overlap, half_range
     )
@@ -204,15 +181,6 @@ def localise_beside(
     return blocks, Beside(np.where(valid[1:], snr[1:], 0.0), centred)
 
 
-def _steps(reach: int) -> FloatArray:
-    return np.arange(-reach, reach + 1, dtype=np.float64)
-
-
-def kernel_reach(width_px: float, blur_px: float = BLUR_PX, margin_px: float = MARGIN_PX) -> int:
-    """Half length of the kernel of a wire with its background, in steps across the curve."""
-    return int(np.ceil((0.5 * width_px + 1.5 * blur_px + margin_px) / STEP_PX))
-
-
 def block_starts(arc: FloatArray, block_px: float) -> NDArray[np.intp]:
     """First sample of each of the equal blocks that come nearest to ``block_px``."""
     count = max(1, round(float(arc[-1]) / block_px))
@@ -231,12 +199,12 @@ def _profiles(
     shortest = int(np.diff(np.append(starts, len(pixels))).min())
     every = max(1, min(shortest, len(pixels) // len(starts) // BESIDE_SAMPLES))
     if wide == narrow or every == 1:
-        return _block_means(straighten(image, pixels, normal, STEP_PX * _steps(wide)), starts)
+        return _block_means(straighten(image, pixels, normal, STEP_PX * steps(wide)), starts)
     some = slice(None, None, every)
     profiles = _block_means(
-        straighten(image, pixels[some], normal[some], STEP_PX * _steps(wide)), (starts + every - 1) // every
+        straighten(image, pixels[some], normal[some], STEP_PX * steps(wide)), (starts + every - 1) // every
     )
-    own = straighten(image, pixels, normal, STEP_PX * _steps(narrow))
+    own = straighten(image, pixels, normal, STEP_PX * steps(narrow))
     profiles[:, wide - narrow : wide + narrow + 1] = _block_means(own, starts)
     return profiles
 
@@ -257,50 +225,6 @@ def _inside(
         return np.asarray(((place >= 0) & (place <= (width - 1, height - 1))).all(axis=(1, 2, 4)))
 
 
-def unit_kernels(width: FloatArray, positions: FloatArray, blur_px: float = BLUR_PX) -> FloatArray:
-    """Wire profiles (M, n) without mean, of unit norm; symmetric, so they have no slope either."""
-    kernel = wire_kernel(width, positions, blur_px)
-    kernel -= kernel.mean(axis=1, keepdims=True)
-    return np.asarray(kernel / np.linalg.norm(kernel, axis=1, keepdims=True))
-
-
-def bundle_kernels(width: FloatArray, middles: FloatArray, positions: FloatArray, blur_px: float) -> list[FloatArray]:
-    """Kernels (M, n) about each of the sub-conductors at ``middles`` (m, M) px, which show the others within reach.
-
-    Without mean and slope each, and together of unit norm.
-    """
-    if len(middles) == 1:
-        return [unit_kernels(width, positions, blur_px)]
-    slope = positions / np.linalg.norm(positions)
-    kernels = []
-    for middle in middles:
-        shown = [wire_kernel(width, positions - (other - middle)[:, None], blur_px) for other in middles]
-        kernel = np.sum(shown, axis=0)
-        kernel -= kernel.mean(axis=1, keepdims=True)
-        kernels.append(kernel - (kernel @ slope)[:, None] * slope)
-    norm = np.linalg.norm(np.concatenate(kernels, axis=1), axis=1, keepdims=True)
-    return [np.asarray(kernel / norm) for kernel in kernels]
-
-
-def _overlap(kernels: list[FloatArray], middles: FloatArray) -> FloatArray:
-    """By how much (M,) the noise that windows about sub-conductors at ``middles`` (m, M) px share makes offsets worse.
-
-    An offset's variance goes with the squares of the kernels' slopes; where two of them meet the same pixels, with the
-    square of their sum.
-    """
-    slopes = [np.gradient(kernel, axis=1) for kernel in kernels]
-    alone = np.sum([np.sum(slope**2, axis=1) for slope in slopes], axis=0)
-    shared = np.zeros_like(alone)
-    columns, last = np.arange(kernels[0].shape[1]), kernels[0].shape[1] - 1
-    for j, k in combinations(range(len(kernels)), 2):
-        place = columns + (middles[j] - middles[k])[:, None] / STEP_PX
-        first = np.clip(np.floor(place).astype(np.intp), 0, last - 1)
-        here, there = (np.take_along_axis(slopes[k], first + step, axis=1) for step in (0, 1))
-        met = np.where((place >= 0) & (place <= last), here + (place - first) * (there - here), 0.0)
-        shared += 2 * np.sum(slopes[j] * met, axis=1)
-    return np.asarray(np.maximum(1.0, 1 + shared / alone))
-
-
 def _peaks(
     amplitude: FloatArray,
     energy: FloatArray,
@@ -318,7 +242,7 @@ def _peaks(
     n = kernel.shape[1]
     score = correlation(amplitude, energy, n)
     # the outermost windows only serve the parabola
-    across = _steps(score.shape[-1] // 2)[1:-1] * STEP_PX
+    across = steps(score.shape[-1] // 2)[1:-1] * STEP_PX
     looked_at = np.abs(across) <= half_range[:, None] + STEP_PX
     peak = np.argmax(np.where(looked_at, score[..., 1:-1], -1.0), axis=-1)[..., None] + 1
 
@@ -358,7 +282,7 @@ def _uneven_noise(
     columns = np.clip(first + np.arange(n), 0, profiles[0].shape[1] - 1)
     windows = np.stack([np.take_along_axis(profiles[k], columns, axis=1) for k in order], axis=1)
     windows -= windows.mean(axis=2, keepdims=True)
-    slope = _steps(n // 2) / np.linalg.norm(_steps(n // 2))
+    slope = steps(n // 2) / np.linalg.norm(steps(n // 2))
     windows -= (windows @ slope)[..., None] * slope
     turned = np.stack([np.gradient(kernels[k], axis=1) for k in order], axis=1)
     turned -= (turned @ slope)[..., None] * slope

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from sagnode.capture.port import GreyImage
 from sagnode.geometry.camera import FloatArray
 from sagnode.match.bundle import lines
-from sagnode.match.localise import MARGIN_PX, Beside, Blocks, localise_beside
+from sagnode.match.kernels import MARGIN_PX
+from sagnode.match.localise import Beside, Blocks, localise_beside
 from sagnode.match.ribbon import arc_length, line_response, normals
 from sagnode.match.robust import median
 from sagnode.match.templates import View, visible_part
