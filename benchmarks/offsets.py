@@ -11,25 +11,18 @@ from __future__ import annotations
 
 import argparse
 import sys
-import tempfile
 from dataclasses import dataclass
 from itertools import pairwise
-from pathlib import Path
 
 import cv2
 import numpy as np
 
-from groups import groups_by_name
+from looks import Look, looks
 from run import DEVELOPMENT_SEED
 from sagnode.estimate.joint import CORRELATED_PX, CORRELATION_LENGTH_PX
-from sagnode.estimate.locate import locate
 from sagnode.estimate.matched import Matched
-from sagnode.estimate.register import register
 from sagnode.geometry.camera import FloatArray
-from sagnode.pipeline import load_site
-from sagnode.scene.render import render
 from sagnode.scene.truth import pixel_curve
-from worlds import settle
 
 LAGS_PX = (10.0, 30.0, 60.0, 120.0, 240.0)
 GROSS = 5.0
@@ -85,7 +78,7 @@ def main() -> int:
     print(f"| group | offsets | stated, white | robust deviation | gross | shared at {between} |")
     print("|---|---|---|---|---|" + "---|" * (len(LAGS_PX) - 1))
     for name in options.groups.split(","):
-        some = [e for index in range(options.worlds) for e in _world(name, options.seed, index)]
+        some = [e for look in looks(name, options.seed, options.worlds) for e in _errors(look)]
         if not some:
             print(f"| {name} | 0 |")
             continue
@@ -102,23 +95,13 @@ def main() -> int:
     return 0
 
 
-def _world(name: str, seed: int, index: int) -> list[Errors]:
-    group = groups_by_name(name)[0]
-    with tempfile.TemporaryDirectory(prefix="sagnode-offsets-") as folder:
-        setting = settle(group, seed, index, Path(folder))
-        site = load_site(setting.survey)
-    results = []
-    for shot in group.shots(setting):
-        image = render(shot.scene, shot.moment).image
-        registered, reasons = register(site, image)
-        if reasons:
-            continue
-        located = locate(site, image, registered)
-        for conductor in shot.scene.true.conductors:
-            if conductor.id in located:
-                truth = pixel_curve(shot.scene, shot.moment, conductor, 40001)
-                results.append(errors_of(located[conductor.id], truth))
-    return [one for one in results if one.error.size]
+def _errors(look: Look) -> list[Errors]:
+    some = [
+        errors_of(look.found[conductor.id], pixel_curve(look.shot.scene, look.shot.moment, conductor, 40001))
+        for conductor in look.shot.scene.true.conductors
+        if conductor.id in look.found
+    ]
+    return [one for one in some if one.error.size]
 
 
 if __name__ == "__main__":

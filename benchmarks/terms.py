@@ -12,26 +12,20 @@ from __future__ import annotations
 
 import argparse
 import sys
-import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
 import cv2
 import numpy as np
 
-from groups import groups_by_name
 from limit import across, information_per_pixel, landmark_information, true_theta
+from looks import Look, looks
 from run import DEVELOPMENT_SEED
-from sagnode.estimate.locate import locate
 from sagnode.estimate.matched import Matched
-from sagnode.estimate.register import Registered, register
 from sagnode.geometry.camera import FloatArray
-from sagnode.pipeline import load_site
-from sagnode.scene.render import Rendered, render
+from sagnode.scene.render import Rendered
 from sagnode.scene.spec import Moment
-from sagnode.site import Site
 from sagnode.survey import CAMERA, SAG
-from worlds import Shot, settle
 
 ROOT = Path(__file__).resolve().parents[1]
 COLUMNS = ("limit", "with its landmarks", "and its blocks", "and what they share", "blocks reach over")
@@ -50,22 +44,20 @@ conductors.
 - **blocks reach over**: share of the span between the first and the last block."""
 
 
-def terms(
-    site: Site, shot: Shot, picture: Rendered, registered: Registered, found: Matched, name: str
-) -> list[float] | None:
+def terms(look: Look, name: str, found: Matched) -> list[float] | None:
     """Standard uncertainties of sag, m, with more and more of what the node had; None without a wire in the frame."""
-    true = next(c for c in shot.scene.true.conductors if c.id == name)
+    true = next(c for c in look.shot.scene.true.conductors if c.id == name)
     survey, solution = found.survey, found.solution
-    theta = true_theta(survey, shot.scene, shot.moment, true)
-    landmarks = landmark_information(site, survey, theta)
-    whole = _summed(_wires(found, theta, picture, name, shot.moment))
+    theta = true_theta(survey, look.shot.scene, look.shot.moment, true)
+    landmarks = landmark_information(look.site, survey, theta)
+    whole = _summed(_wires(found, theta, look.picture, name, look.shot.moment))
     if whole is None:
         return None
     white, correlated = solution.noise
     jacobian = solution.jacobian
     blocks = jacobian.T @ (jacobian / white[:, None])
     shared = jacobian.T @ np.linalg.solve(np.diag(white) + correlated, jacobian)
-    own = registered.camera.precision
+    own = look.registered.camera.precision
     steps = [(landmarks, whole), (own, whole), (own, blocks), (own, shared)]
     reach = float(np.ptp(found.offsets.t))
     return [*(_sag_u(found, camera, curve) for camera, curve in steps), reach]
@@ -107,7 +99,7 @@ def main() -> int:
     lines = ["| group | conductors | " + " | ".join(COLUMNS) + " |", "|---|---|" + "---|" * len(COLUMNS)]
     print("\n".join(lines))
     for name in options.groups.split(","):
-        some = [row for index in range(options.worlds) for row in _world(name, options.seed, index)]
+        some = [row for look in looks(name, options.seed, options.worlds) for row in _rows(look)]
         line = f"| {name} | 0 |" + " |" * len(COLUMNS)
         if some:
             middle = np.median(np.array(some), axis=0)
@@ -122,22 +114,9 @@ def main() -> int:
     return 0
 
 
-def _world(name: str, seed: int, index: int) -> list[list[float]]:
-    group = groups_by_name(name)[0]
-    with tempfile.TemporaryDirectory(prefix="sagnode-terms-") as folder:
-        setting = settle(group, seed, index, Path(folder))
-        site = load_site(setting.survey)
-    rows = []
-    for shot in group.shots(setting):
-        picture = render(shot.scene, shot.moment)
-        registered, reasons = register(site, picture.image)
-        if reasons:
-            continue
-        for conductor, found in locate(site, picture.image, registered).items():
-            if not found.survey.load_u:
-                row = terms(site, shot, picture, registered, found, conductor)
-                rows += [row] if row is not None else []
-    return rows
+def _rows(look: Look) -> list[list[float]]:
+    rows = [terms(look, name, found) for name, found in look.found.items() if not found.survey.load_u]
+    return [row for row in rows if row is not None]
 
 
 if __name__ == "__main__":
