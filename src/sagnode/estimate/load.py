@@ -36,7 +36,7 @@ LET_IN = 0.02
 less than 0.01."""
 SUSPECT_SUPPORT, SUSPECT_SHARE = 0.6, 0.35
 """Where less of an even curve, or of the span, shows a wire, it is tried: what is beside the curve cannot ask."""
-SURELY = 0.2
+SURELY = 0.5
 """Probability of one conductor's uneven load from which no other is taken for even: ice does not fall on one alone."""
 DOUBTFUL = 9.0
 """Misfit that a light uneven load would take off, from which an even one is not believed; bare wires rarely reach 5."""

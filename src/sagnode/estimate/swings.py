@@ -18,7 +18,7 @@ import numpy as np
 
 from sagnode.geometry.camera import FloatArray
 
-SPREAD = (np.radians(0.2), 0.08)
+SPREAD = (np.radians(0.3), 0.1)
 """Standard deviation of a conductor's swing about the common one: this angle, and this share of the common swing."""
 ICY_READINGS, ICED_THEN, WEIGHTED = 0.02, 0.9, 0.01
 """Share of readings under ice, share of the conductors that are unevenly iced then, and of those with a weight else."""
