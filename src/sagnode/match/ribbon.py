@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from sagnode.capture.port import GreyImage
 from sagnode.geometry.camera import FloatArray
+from sagnode.native import kernels
 
 SIDE_OFFSET_PX = 2.5
 """Distance of the side samples from the centre of a thin wire: beyond its blurred width, before the next thing."""
@@ -128,6 +129,10 @@ def pooled_response(
         Responses (M, N), and whether a sample with all its sides is in the frame (M, N); out of it a response says
         nothing.
     """
+    if kernels is not None:
+        best, seen = np.empty(pixel[0].shape, dtype=np.int16), np.empty(pixel[0].shape, dtype=bool)
+        kernels.response(image, *pixel, *normal, *lines, band, best, seen)
+        return best, seen
     height, width = image.shape
     (u, v), (nu, nv) = pixel, normal
     places, sides = lines

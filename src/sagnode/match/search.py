@@ -17,6 +17,7 @@ from sagnode.geometry.camera import FloatArray
 from sagnode.match.library import POOL_PX, Library, Places, places_of, trust
 from sagnode.match.ribbon import normals, pooled_response
 from sagnode.match.shrink import halved
+from sagnode.native import kernels
 
 SWING_PRIOR = 0.3
 """Grey levels of mean response that one half-squared standard deviation of swing must earn."""
@@ -136,14 +137,15 @@ def _interpolation(own: FloatArray, common: FloatArray) -> FloatArray:
 
 def _sums(image: GreyImage, places: Places) -> tuple[FloatArray, FloatArray]:
     """Sums (...) of the responses at some places, and of the weights of those in the frame."""
-    response, seen = pooled_response(image, places.pixel, places.normal, places.lines, places.band)
-    if seen.all():
-        count = np.full(response.shape[1], places.trust.sum())
+    total, count = np.empty((2, places.pixel[0].shape[1]))
+    asked = (image, places.pixel, places.normal, places.lines, places.band)
+    if kernels is not None:
+        kernels.response_sums(image, *asked[1], *asked[2], *asked[3], places.band, places.trust, total, count)
     else:
+        response, seen = pooled_response(*asked)
         response[~seen] = 0
-        count = places.trust @ seen.astype(np.float32)
-    total = places.trust @ response.astype(np.float32)
-    return total.reshape(places.shape).astype(np.float64), count.reshape(places.shape).astype(np.float64)
+        total[:], count[:] = places.trust @ response.astype(np.float32), places.trust @ seen.astype(np.float32)
+    return total.reshape(places.shape), count.reshape(places.shape)
 
 
 def _peaks(ranked: FloatArray, keep: int) -> NDArray[np.intp]:

@@ -1,0 +1,45 @@
+"""The compiled functions. Arrays may have gaps where nothing else is said; results are written into those at the end.
+
+A wrong kind or number of axes raises TypeError, shapes that do not fit each other ValueError.
+"""
+
+from typing import Any, TypeAlias
+
+from numpy.typing import NDArray
+
+Array: TypeAlias = NDArray[Any]
+
+INTERFACE: int
+
+def response(
+    image: Array,
+    u: Array,
+    v: Array,
+    nu: Array,
+    nv: Array,
+    places: Array,
+    sides: Array,
+    band: Array,
+    best: Array,
+    seen: Array,
+) -> None:
+    """:func:`sagnode.match.ribbon.pooled_response` into best (M, N) int16 and seen (M, N) bool.
+
+    image uint8; u, v, nu, nv (M, N), places and sides (m, M or 1, N or 1), m up to 16, and band (B, M or 1) are single
+    precision.
+    """
+
+def response_sums(
+    image: Array,
+    u: Array,
+    v: Array,
+    nu: Array,
+    nv: Array,
+    places: Array,
+    sides: Array,
+    band: Array,
+    weight: Array,
+    total: Array,
+    weights: Array,
+) -> None:
+    """Sums over the samples in the frame of their weight (M,) times response, and of weight: (N,), double precision."""

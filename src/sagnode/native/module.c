@@ -1,0 +1,70 @@
+/* The module: checking and letting go of arrays, and the table of functions. */
+#include "kernels.h"
+
+int take(arrays *all, PyObject *object, const char *name, char kind, int axes, int contiguous, int written, array *out)
+{
+    if (all->count == MOST_ARRAYS) {
+        PyErr_SetString(PyExc_SystemError, "too many arrays in one call");
+        return -1;
+    }
+    Py_buffer *buffer = &all->buffers[all->count];
+    int flags = PyBUF_STRIDES | PyBUF_FORMAT | (written ? PyBUF_WRITABLE : 0);
+    if (PyObject_GetBuffer(object, buffer, flags) < 0)
+        return -1;
+    all->count++;
+    char own = buffer->format[0];
+    /* long is 64 bits wide here, and so is long long */
+    own = own == 'q' ? 'l' : own;
+    if (buffer->format[1] != 0 || (kind != '*' && own != kind) || buffer->ndim != axes || axes > MOST_AXES) {
+        PyErr_Format(PyExc_TypeError, "%s: wanted kind '%c' with %d axes, got '%s' with %d", name, kind, axes,
+                     buffer->format, buffer->ndim);
+        return -1;
+    }
+    out->at = buffer->buf;
+    out->kind = own;
+    out->axes = axes;
+    Py_ssize_t step = buffer->itemsize;
+    for (int k = axes - 1; k >= 0; k--) {
+        out->shape[k] = buffer->shape[k];
+        out->step[k] = buffer->strides[k];
+        if (contiguous && buffer->shape[k] > 1 && buffer->strides[k] != step) {
+            PyErr_Format(PyExc_TypeError, "%s: not contiguous", name);
+            return -1;
+        }
+        step *= buffer->shape[k];
+    }
+    return 0;
+}
+
+void release(arrays *all)
+{
+    while (all->count > 0)
+        PyBuffer_Release(&all->buffers[--all->count]);
+}
+
+int require(int condition, const char *what)
+{
+    if (condition)
+        return 0;
+    PyErr_SetString(PyExc_ValueError, what);
+    return -1;
+}
+
+static PyMethodDef functions[] = {
+    {"response", (PyCFunction)(void (*)(void))response, METH_FASTCALL, NULL},
+    {"response_sums", (PyCFunction)(void (*)(void))response_sums, METH_FASTCALL, NULL},
+    {NULL, NULL, 0, NULL},
+};
+
+/* Bump with every change of a function's arguments or meaning: see INTERFACE in __init__.py. */
+#define INTERFACE 1
+
+static int fill(PyObject *module) { return PyModule_AddIntConstant(module, "INTERFACE", INTERFACE); }
+
+static PyModuleDef_Slot slots[] = {{Py_mod_exec, fill}, {0, NULL}};
+
+static struct PyModuleDef definition = {
+    PyModuleDef_HEAD_INIT, "_kernels", "Inner loops in C; see sagnode.native.", 0, functions, slots, NULL, NULL, NULL,
+};
+
+PyMODINIT_FUNC PyInit__kernels(void) { return PyModuleDef_Init(&definition); }
