@@ -2,92 +2,179 @@
 
 from __future__ import annotations
 
-import contextlib
-import os
 import shutil
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
-from dataclasses import asdict
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from performance import wear
 from performance.frames import shot
-from performance.memory import broker_table, journalled, stand_in_daemon
+from performance.memory import broker_table, journalled
 from performance.node import write_node
 from performance.plan import Plan
-from performance.process import cpu_s, written_bytes
-from performance.proxy import Proxy
+from performance.process import cpu_s
+from performance.proxy import Passed, Proxy
+from performance.windows import Share, share
+from sagnode.daemon.uplink import topic_prefix
 from sagnode.demo.broker import EmbeddedBroker
 
 BURST = 4
 """What ``sagnode config init`` writes into a new node's file."""
-SETTLE_S = 6.0
-CARD_MB = 256
-SECTOR = 512
+EARLY_S = 0.3
+"""A reading's window opens so long before its slot."""
+SETTLE_S = 3.0
+"""And closes so long after its numbers are in the journal: they are sent, the worker has learnt from the frame."""
+PATIENCE_S = 90.0
+FIVE_MINUTES_S = 300.0
 
 
 def measure(plan: Plan) -> dict[str, Any]:
-    """CPU and network of a real node at rest and over one reading; disk writes for each reading."""
-    return {"waiting": waiting(plan), "disk": disk(plan)}
+    """CPU and network of a real node at rest and over its readings; disk writes for each reading."""
+    return {"waiting": waiting(plan), "disk": wear.measure(plan)}
+
+
+@dataclass(frozen=True)
+class Sample:
+    """What had been spent at one moment."""
+
+    time_s: float
+    daemon_s: float
+    worker_s: float
+    passed: Passed
+
+
+@dataclass(frozen=True)
+class Watch:
+    """Samples around readings."""
+
+    before: list[Sample]
+    """Each reading, and once more after the last stretch of waiting."""
+    after: list[Sample]
+
+    def spans(self) -> list[Passed]:
+        """What passed over the network in the window of each reading."""
+        return [a.passed.since(b.passed) for b, a in zip(self.before, self.after, strict=False)]
 
 
 def waiting(plan: Plan) -> dict[str, Any]:
-    """The real daemon, worker and broker on the system's clock: a stretch of waiting, then one more reading."""
-    interval = plan.idle_s + 2 * SETTLE_S
+    """The real daemon, worker and broker on the system's clock: the start, then readings and the waiting between them.
+
+    The readings come sooner than every five minutes, so that there are enough of them to say how sure a number is; the
+    frames' own times are five minutes apart from burst to burst, so that the worker learns from as many as it would.
+    """
     picture = shot("tower", plan.folder)
     state = plan.folder / "idle-state"
     shutil.rmtree(state, ignore_errors=True)
-    with EmbeddedBroker(plan.folder / "broker") as broker, Proxy(broker.port) as proxy:
+    conductors = len(picture.alone(9).conductors)
+    folder = plan.folder / "node-idle"
+    # the topics' prefix is the same, whatever the port will be
+    prefix = topic_prefix(write_node(picture, folder, mqtt={"host": "127.0.0.1"}).node)
+    with EmbeddedBroker(plan.folder / "broker") as broker, Proxy(broker.port, prefix) as proxy:
         loaded = write_node(
             picture,
-            plan.folder / "node-idle",
+            folder,
             burst=BURST,
+            apart_s=FIVE_MINUTES_S / BURST,
             mqtt=broker_table(broker, proxy.port),
-            schedule={"interval_s": interval, "clock": "system"},
+            schedule={"interval_s": plan.idle_interval_s, "clock": "system"},
             storage={"state_dir": str(state)},
         )
         words = [sys.executable, "-m", "sagnode", "run", "--config", str(loaded.path)]
         with (plan.folder / "idle.log").open("wb") as log:
             process = subprocess.Popen(words, stdin=subprocess.DEVNULL, stdout=log, stderr=log)
         try:
-            conductors = len(picture.alone(9).conductors)
-            _await(lambda: journalled(state) >= conductors, 90)
-            first = time.monotonic()
-            time.sleep(SETTLE_S)
+            _await(lambda: journalled(state) >= conductors)
             worker = _child_of(process.pid)
-            before = _sample(process.pid, worker, proxy)
-            time.sleep(plan.idle_s)
-            rested = _sample(process.pid, worker, proxy)
-            _await(lambda: journalled(state) >= 2 * conductors, 90)
-            time.sleep(max(0.0, first + interval + SETTLE_S - time.monotonic()))
-            after = _sample(process.pid, worker, proxy)
+
+            def look() -> Sample:
+                return Sample(time.monotonic(), cpu_s(process.pid), cpu_s(worker), proxy.passed())
+
+            time.sleep(SETTLE_S)
+            started = look()
+            watch = _watch(plan, look, lambda: journalled(state) // conductors)
         finally:
             process.terminate()
             process.wait(30)
-    at_rest = _rates(before, rested)
-    whole = {k: after[k] - rested[k] for k in rested}
-    reading = {k: whole[k] - at_rest[k] * whole["time_s"] for k in at_rest}
-    return {"interval_s": interval, "burst": BURST, "rate": at_rest, "reading": reading, "conductors": conductors}
+    assert loaded.node.mqtt is not None
+    album = state / "appearances"
+    return {
+        "interval_s": plan.idle_interval_s,
+        "burst": BURST,
+        "conductors": conductors,
+        "readings": len(watch.after),
+        "keepalive_s": loaded.node.mqtt.keepalive_s,
+        "album_bytes": album.stat().st_size if album.exists() else 0,
+        "start": {"daemon": started.daemon_s, "worker": started.worker_s},
+        "cpu": {name: asdict(_cpu(watch, f"{name}_s")) for name in ("daemon", "worker")},
+        "network": network(watch.spans()),
+    }
 
 
-def _sample(daemon: int, worker: int, proxy: Proxy) -> dict[str, float]:
-    passed = asdict(proxy.passed())
-    return {"time_s": time.monotonic(), "daemon_s": cpu_s(daemon), "worker_s": cpu_s(worker), **passed}
+def _watch(plan: Plan, look: Callable[[], Sample], readings: Callable[[], int]) -> Watch:
+    """Samples around each of the plan's readings.
+
+    Slots lie on multiples of the interval, whenever the node was started (``sagnode.daemon.schedule``).
+
+    Raises:
+        RuntimeError: a reading takes so long that the next one's window has begun.
+    """
+    interval = plan.idle_interval_s
+    before: list[Sample] = []
+    after: list[Sample] = []
+    slot = interval * (time.time() // interval + 1)
+    if slot - EARLY_S < time.time():
+        slot += interval
+    while len(after) < plan.idle_readings:
+        time.sleep(max(0.0, slot - EARLY_S - time.time()))
+        done = readings()
+        before.append(look())
+        _await(lambda seen=done: readings() > seen)
+        time.sleep(SETTLE_S)
+        after.append(look())
+        slot += interval
+        if readings() != done + 1 or slot - EARLY_S < time.time():
+            raise RuntimeError(f"a reading with what follows takes longer than {interval:g} s; give the plan more")
+    time.sleep(max(0.0, slot - EARLY_S - time.time()))
+    return Watch([*before, look()], after)
 
 
-def _rates(before: dict[str, float], after: dict[str, float]) -> dict[str, float]:
-    """By the second."""
-    seconds = after["time_s"] - before["time_s"]
-    return {k: (after[k] - before[k]) / seconds for k in before if k != "time_s"}
+def _cpu(watch: Watch, name: str) -> Share:
+    before, after = ([(s.time_s, getattr(s, name)) for s in samples] for samples in (watch.before, watch.after))
+    return share(before, after)
 
 
-def _await(reached, seconds: float) -> None:
-    give_up = time.monotonic() + seconds
+def network(spans: Sequence[Passed]) -> dict[str, Any]:
+    """What the daemon sends for a reading: counted by message in the windows of the readings, never as a difference.
+
+    Packets are those that went out on the loopback device, and what a network that carries fewer bytes in one needs
+    besides.
+    """
+    count: Counter[str] = Counter()
+    size: Counter[str] = Counter()
+    packets = 0
+    for span in spans:
+        count.update(span.sent)
+        size.update(span.sent_bytes)
+        packets += span.segments_up + sum((span.sent_segments - span.sent).values())
+    each = len(spans)
+    return {
+        "messages": {name: {"count": count[name] / each, "bytes": size[name] / each} for name in sorted(count)},
+        "up": sum(s.up for s in spans) / each,
+        "down": sum(s.down for s in spans) / each,
+        "packets": packets / each,
+    }
+
+
+def _await(reached: Callable[[], bool]) -> None:
+    give_up = time.monotonic() + PATIENCE_S
     while not reached():
         if time.monotonic() > give_up:
-            raise RuntimeError(f"the node made no reading within {seconds:.0f} s")
+            raise RuntimeError(f"the node made no reading within {PATIENCE_S:.0f} s")
         time.sleep(0.1)
 
 
@@ -97,85 +184,3 @@ def _child_of(pid: int) -> int:
     if len(children) != 1:
         raise RuntimeError(f"the daemon has {len(children)} children, expected its worker")
     return int(children[0])
-
-
-def disk(plan: Plan) -> dict[str, Any]:
-    """Bytes written for each reading, by the kernel's account of the process and by a block device's own counters."""
-    cycles = plan.written_readings
-    conductors = len(shot("tower", plan.folder).alone(9).conductors)
-    with _card(plan.folder) as (folder, device), EmbeddedBroker(plan.folder / "broker") as broker:
-        state = folder / "state"
-        state.mkdir()
-        os.sync()
-        began = _written(device)
-        by_process = 0
-        with stand_in_daemon(plan, state, cycles, broker_table(broker), flush=folder) as (process, _):
-            while process.poll() is None:
-                with contextlib.suppress(OSError, ValueError):
-                    by_process = max(by_process, written_bytes(process.pid))
-                time.sleep(0.05)
-        os.sync()
-        requests, sectors = (after - before for after, before in zip(_written(device), began, strict=True))
-        readings = journalled(state)
-        if readings < cycles * conductors:
-            raise RuntimeError(f"{readings} readings in the journal, {cycles * conductors} expected")
-        payload = _payload(state / "journal.sqlite")
-        size = (state / "journal.sqlite").stat().st_size
-    result: dict[str, Any] = {
-        "cycles": cycles,
-        "conductors": conductors,
-        "json_bytes": payload / cycles,
-        "journal_bytes": size / cycles,
-        "process_bytes": by_process / cycles,
-    }
-    if device is not None:
-        result |= {"device_bytes": sectors * SECTOR / cycles, "device_requests": requests / cycles}
-    return result
-
-
-def _payload(journal: Path) -> int:
-    """Bytes of all readings themselves."""
-    import sqlite3
-
-    with contextlib.closing(sqlite3.connect(f"file:{journal}?mode=ro", uri=True)) as db:
-        return int(db.execute("SELECT sum(length(CAST(json AS BLOB))) FROM readings").fetchone()[0])
-
-
-@contextlib.contextmanager
-def _card(folder: Path) -> Iterator[tuple[Path, str | None]]:
-    """An ext4 file system of its own on a loop device, as a card has; a plain folder where that is not allowed."""
-    mount = folder / "card"
-    mount.mkdir(exist_ok=True)
-    image = folder / "card.img"
-    if os.geteuid() != 0 or shutil.which("mkfs.ext4", path="/usr/sbin:/sbin:/usr/bin:/bin") is None:
-        plain = folder / "card-plain"
-        shutil.rmtree(plain, ignore_errors=True)
-        plain.mkdir()
-        yield plain, None
-        return
-    with image.open("wb") as file:
-        file.truncate(CARD_MB << 20)
-    quiet = {"check": True, "stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
-    # tables made at once, so that the kernel does not write them in the background while we count
-    options = ["-q", "-F", "-E", "lazy_itable_init=0,lazy_journal_init=0"]
-    subprocess.run(["/usr/sbin/mkfs.ext4", *options, str(image)], **quiet)
-    shown = subprocess.run(
-        ["losetup", "--find", "--show", str(image)], check=True, capture_output=True, text=True
-    ).stdout.strip()
-    try:
-        subprocess.run(["mount", "-o", "noatime", shown, str(mount)], **quiet)
-        try:
-            yield mount, Path(shown).name
-        finally:
-            subprocess.run(["umount", str(mount)], **quiet)
-    finally:
-        subprocess.run(["losetup", "--detach", shown], **quiet)
-        image.unlink()
-
-
-def _written(device: str | None) -> tuple[int, int]:
-    """Write requests and sectors of a block device so far (Documentation/block/stat.rst)."""
-    if device is None:
-        return 0, 0
-    fields = Path(f"/sys/block/{device}/stat").read_text(encoding="ascii").split()
-    return int(fields[4]), int(fields[6])

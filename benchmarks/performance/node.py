@@ -12,17 +12,20 @@ from sagnode.config.show import toml_text
 START = "2026-06-21T00:00:00Z"
 
 
-def write_node(shot: Shot, folder: Path, burst: int = 1, **tables: dict[str, Any]) -> LoadedNode:
-    """Write ``node.toml`` and ``span.toml`` into ``folder``; the picture is shown for ever, five minutes apart.
+def write_node(
+    shot: Shot, folder: Path, burst: int = 1, apart_s: float = 300.0, **tables: dict[str, Any]
+) -> LoadedNode:
+    """Write ``node.toml`` and ``span.toml`` into ``folder``; the picture is shown for ever.
 
     Args:
         shot: picture and survey.
         folder: made if need be.
         burst: frames for each reading.
+        apart_s: from one frame to the next, by the frames' own times.
         tables: further tables of the node file, over those written here.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    replay = {"path": str(shot.jpeg), "cadence_s": 300.0, "start": START, "at_end": "loop"}
+    replay = {"path": str(shot.jpeg), "cadence_s": apart_s, "start": START, "at_end": "loop"}
     node: dict[str, Any] = {
         "span_file": "span.toml",
         "unit": {"utility": "benchmark", "line": "line", "span": shot.span.name, "unit": "unit"},

@@ -26,7 +26,8 @@ class Plan:
     worker_readings: int
     soak_s: float
     """After so many seconds a soak ends with the readings that it has."""
-    idle_s: float
+    idle_interval_s: float
+    idle_readings: int
     written_readings: int
 
 
@@ -43,7 +44,8 @@ def quick(folder: Path) -> Plan:
         daemon_readings=1500,
         worker_readings=150,
         soak_s=120.0,
-        idle_s=65.0,
+        idle_interval_s=10.0,
+        idle_readings=8,
         written_readings=120,
     )
 
@@ -59,7 +61,8 @@ def thorough(folder: Path) -> Plan:
         daemon_readings=10_000,
         worker_readings=10_000,
         soak_s=900.0,
-        idle_s=600.0,
+        idle_interval_s=30.0,
+        idle_readings=24,
         written_readings=600,
     )
 

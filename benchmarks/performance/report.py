@@ -7,8 +7,9 @@ from pathlib import Path
 from typing import Any
 
 from performance import speed_tables as speed
+from performance.idle_tables import idle_section
 from performance.prose import flow
-from performance.resource_tables import idle_section, memory_section, profile_section
+from performance.resource_tables import memory_section, profile_section
 
 Part = dict[str, Any]
 
@@ -37,7 +38,7 @@ def write_report(load: Callable[[str], Part | None], out: Path) -> list[Path]:
     if memory is not None:
         sections.append(memory_section(memory))
     if "idle" in measured:
-        sections.append(idle_section(measured["idle"]["results"], memory))
+        sections.append(idle_section(measured["idle"]["results"]))
     if "profile" in measured:
         sections.append(profile_section(measured["profile"]["results"]))
     written[0].write_text("\n".join(sections).rstrip() + "\n", encoding="utf-8")

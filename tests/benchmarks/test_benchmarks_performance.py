@@ -3,6 +3,7 @@
 import json
 import mmap
 import os
+import re
 import socket
 import subprocess
 import sys
@@ -14,9 +15,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from performance import frames, methods, process, proxy, stages
+from performance import frames, idle, idle_tables, methods, process, prose, proxy, stages, windows
 from performance import hotspots as profile
 from performance import speed_tables as tables
+from performance.packets import Packets
 from sagnode.pipeline import measure_frame
 from sagnode.worker.supervisor import Limits, Supervisor
 
@@ -117,6 +119,97 @@ def test_the_proxy_counts_what_passes():
             # one segment at least for the data and one for the connection
             assert passed.segments_up >= 2
             assert passed.since(passed) == proxy.Passed(0, 0, 0)
+
+
+def mqtt_publish(topic, payload):
+    """A PUBLISH packet of QoS 1 in MQTT 3.1.1 (its chapter 3.3)."""
+    body = len(topic).to_bytes(2, "big") + topic.encode() + b"\x00\x01" + payload
+    length, rest = b"", len(body)
+    while True:
+        rest, digit = divmod(rest, 128)
+        length += bytes([digit | (128 if rest else 0)])
+        if not rest:
+            return bytes([0x32]) + length + body
+
+
+@pytest.mark.parametrize("step", [1, 2, 7, 4000])
+def test_what_was_sent_is_told_by_message_however_the_stream_is_cut(step):
+    long = mqtt_publish("line/unit/measurement/L1", b"x" * 3000)
+    stream = long + b"\xc0\x00" + mqtt_publish("line/unit/health", b"y" * 90) + b"\x40\x02\x00\x01" + long
+    packets = Packets("line/unit")
+    for begin in range(0, len(stream), step):
+        packets.take(stream[begin : begin + step])
+    assert packets.count == {"measurement": 2, "keep-alive": 1, "health": 1, "acknowledgements": 1}
+    assert packets.size["measurement"] == 2 * len(long)
+    assert packets.segments["measurement"] == 6
+    assert packets.size.total() == len(stream)
+
+
+def test_half_a_packet_of_a_lost_connection_is_forgotten():
+    packets = Packets("")
+    packets.take(mqtt_publish("health", b"y" * 90)[:50])
+    packets.begin()
+    packets.take(b"\xc0\x00")
+    assert packets.count == {"keep-alive": 1}
+
+
+def test_a_readings_share_is_told_from_that_of_the_waiting():
+    """Readings of 0.5 s of CPU in windows of 3 s, every 10 s, on 0.002 s of CPU a second."""
+    rng = np.random.default_rng(2)
+    before, after, spent = [], [], 5.0
+    for k in range(20):
+        before.append((10.0 * k, spent))
+        spent += 3 * 0.002 + 0.5 + rng.normal(0, 0.01)
+        after.append((10.0 * k + 3, spent))
+        spent += 7 * 0.002 + rng.normal(0, 0.001)
+    before.append((200.0, spent))
+    found = windows.share(before, after)
+    assert abs(found.rest_per_s - 0.002) < 3 * found.rest_u
+    assert abs(found.each - 0.5) < 3 * found.each_u
+    assert found.each_u < 0.005
+    with pytest.raises(ValueError, match="too few"):
+        windows.share(before[:3], after[:2])
+
+
+def test_no_number_is_told_that_its_uncertainty_does_not_bear():
+    assert prose.told(2.566, 0.148) == "2.57 ± 0.15"
+    assert prose.told(41.3, 3.2) == "41.3 ± 3.2"
+    assert prose.told(-0.3, 0.1) == "under 0.20"
+    assert prose.told(770, 797) == "under 2364"
+    assert prose.told(0.0, 0.0) == "0"
+
+
+def test_what_a_reading_sends_is_counted_by_message_and_never_negative():
+    def passed(readings):
+        sent = Counter({"measurement": 3 * readings, "health": readings, "keep-alive": readings // 4})
+        size = Counter({"measurement": 9000 * readings, "health": 900 * readings, "keep-alive": 2 * (readings // 4)})
+        segments = Counter({"measurement": 9 * readings, "health": readings, "keep-alive": readings // 4})
+        return proxy.Passed(9900 * readings, 20 * readings, 8 * readings, sent, size, segments)
+
+    found = idle.network([passed(k + 1).since(passed(k)) for k in range(8)])
+    assert found["messages"]["measurement"] == {"count": 3.0, "bytes": 9000.0}
+    assert found["messages"]["health"] == {"count": 1.0, "bytes": 900.0}
+    # eight on the wire, and three messages of three network packets each that loopback carries in one
+    assert found["packets"] == 8 + 6
+    cpu = {"rest_per_s": 0.001, "rest_u": 1e-4, "each": -0.001, "each_u": 0.002, "windows": 8}
+    page = idle_tables.idle_section(
+        {
+            "waiting": {
+                "interval_s": 10.0,
+                "burst": 4,
+                "conductors": 3,
+                "readings": 8,
+                "keepalive_s": 60,
+                "start": {"daemon": 0.3, "worker": 1.2},
+                "cpu": {"daemon": cpu},
+                "network": found,
+            },
+            "disk": {"cycles": 10, "json_bytes": 1, "journal_bytes": 2, "process_bytes": 3},
+        }
+    )
+    assert "| readings, one message a conductor | 3 | 9,000 |" in page
+    assert "| daemon | 3.60 ± 0.36 | under 0.05 |" in page
+    assert re.search(r"-\d", page) is None
 
 
 def test_the_stand_in_speaks_the_workers_protocol_and_goes_on_where_it_was(tmp_path):
