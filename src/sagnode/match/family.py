@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from sagnode.geometry.camera import FloatArray, Intrinsics, distort, project
 from sagnode.geometry.conductor import conductor_points, gravity_direction, loaded_profile
 from sagnode.match.templates import View
+from sagnode.native import kernels
 
 NEAREST_M = 1e-3
 OUTSIDE_PX = -1e4
@@ -56,12 +57,10 @@ class Family:
         parts = (chord, low - bend * ends[0] ** 2, bend, turn, members)
         return cls(*(part.astype(np.float32) for part in parts))
 
-    def points(self, part: NDArray[np.intp], sags: FloatArray, swings: FloatArray) -> list[Grid]:
-        """Coordinates x, y, z (n, ...) of some samples (n,) in the camera's frame, m; sags and swings broadcast."""
-        sag, turned = sags.astype(np.float32), (np.cos(swings), np.sin(swings))
-        cosine, sine = (value.astype(np.float32) for value in turned)
+    def _points(self, part: NDArray[np.intp], sag: Grid, cosine: Grid, sine: Grid) -> list[Grid]:
+        """Coordinates x, y, z (n, ...) of some samples (n,) in the camera's frame, m, from sags and their swings."""
         slope, bend, *chord = (
-            column[part].reshape(-1, *(1,) * sags.ndim) for column in (self.slope, self.bend, *self.chord.T)
+            column[part].reshape(-1, *(1,) * sag.ndim) for column in (self.slope, self.bend, *self.chord.T)
         )
         profile = sag * (slope + bend * sag**2)
         constant, by_cosine, by_sine = self.turn
@@ -70,8 +69,51 @@ class Family:
     def pixels(
         self, lens: Intrinsics, part: NDArray[np.intp], sags: FloatArray, swings: FloatArray
     ) -> tuple[Grid, Grid, Grid]:
-        """Pixels u, v and depth (n, ...) of some samples, px and m; OUTSIDE_PX where they are not ahead."""
-        return _project(lens, *self.points(part, sags, swings))
+        """Pixels u, v and depth (n, ...) of some samples, px and m, OUTSIDE_PX where they are not ahead.
+
+        Sags and swings broadcast.
+        """
+        sag, cosine, sine = (each.astype(np.float32) for each in (sags, np.cos(swings), np.sin(swings)))
+        return _project(lens, *self._points(part, sag, cosine, sine))
+
+    def placed(
+        self, lens: Intrinsics, part: NDArray[np.intp], sags: FloatArray, swings: FloatArray
+    ) -> tuple[Grid, Grid, Grid, Grid, Grid]:
+        """Pixels u, v, both components of the unit normals, and depth, each (n, K), of samples (n,) without a gap.
+
+        Of as many curves as there are sags and swings when these broadcast, one after the other.
+        """
+        shape = np.broadcast_shapes(sags.shape, swings.shape)
+        turned = (sags, np.cos(swings), np.sin(swings))
+        sag, cosine, sine = (np.broadcast_to(each.astype(np.float32), shape).ravel() for each in turned)
+        if kernels is not None:
+            u, v, nu, nv, depth = np.empty((5, len(part), len(sag)), dtype=np.float32)
+            curves = (self.chord, self.slope, self.bend, self.turn)
+            kernels.places(*curves, _lens_numbers(lens), sag, cosine, sine, int(part[0]), u, v, nu, nv, depth)
+            return u, v, nu, nv, depth
+        # a neighbour on either side gives the ends their tangents
+        padded = np.arange(max(0, part[0] - 1), min(len(self.chord), part[-1] + 2))
+        inner = slice(int(part[0] - padded[0]), int(part[0] - padded[0]) + len(part))
+        u, v, depth = _project(lens, *self._points(padded, sag, cosine, sine))
+        du, dv = _along(u)[inner], _along(v)[inner]
+        shorten = 1 / np.sqrt(np.maximum(du * du + dv * dv, np.float32(1e-9)))
+        return u[inner], v[inner], -dv * shorten, du * shorten, depth[inner]
+
+
+def _lens_numbers(lens: Intrinsics) -> FloatArray:
+    """A lens as the compiled functions take it: fx, fy, cx, cy, reach, model and eight coefficients."""
+    model = 0 if not any(lens.distortion) else 2 if lens.model == "fisheye" else 1
+    coefficients = (*lens.distortion, *(0.0,) * 8)[:8]
+    return np.array([lens.fx, lens.fy, lens.cx, lens.cy, lens.reach, model, *coefficients], dtype=np.float64)
+
+
+def _along(values: Grid) -> Grid:
+    """Differences of neighbours along the first axis: central ones, one-sided at the ends."""
+    difference = np.empty_like(values)
+    np.subtract(values[2:], values[:-2], out=difference[1:-1])
+    np.subtract(values[1], values[0], out=difference[0])
+    np.subtract(values[-1], values[-2], out=difference[-1])
+    return difference
 
 
 def _project(lens: Intrinsics, x: Grid, y: Grid, z: Grid) -> tuple[Grid, Grid, Grid]:

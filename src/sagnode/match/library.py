@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from sagnode.geometry.camera import FloatArray, Intrinsics, projection_derivatives
 from sagnode.geometry.conductor import conductor_points, gravity_direction, loaded_profile
 from sagnode.match.bundle import lines
-from sagnode.match.family import Family, Grid
+from sagnode.match.family import Family
 from sagnode.match.ribbon import Singles, normals
 from sagnode.match.robust import median
 from sagnode.match.shrink import Box, box_around, halved_view
@@ -191,26 +191,18 @@ def places_of(
         part: which samples of the family belong to the stretch (n,), without a gap.
         spread: how uncertain the place of each of them is (n,), px.
     """
-    # a neighbour on either side gives the stretch's ends their tangents
-    padded = np.arange(max(0, part[0] - 1), min(len(family.chord), part[-1] + 2))
-    inner = slice(int(part[0] - padded[0]), int(part[0] - padded[0]) + len(part))
-    u, v, depth = family.pixels(view.intrinsics, padded, sags, swings)
-    du, dv = _along(u)[inner], _along(v)[inner]
-    shorten = 1 / np.sqrt(np.maximum(du * du + dv * dv, np.float32(1e-9)))
-    nu, nv = -dv * shorten, du * shorten
-    width = np.float32(view.diameter * view.intrinsics.fx) / depth[inner]
-    lead = (slice(None), part, *(None,) * (u.ndim - 1))
-    place, side = lines(family.members[..., 0][lead] * nu + family.members[..., 1][lead] * nv, width)
+    u, v, nu, nv, depth = family.placed(view.intrinsics, part, sags, swings)
+    width = np.float32(view.diameter * view.intrinsics.fx) / depth
+    place, side = lines(family.members[:, part, :1] * nu + family.members[:, part, 1:] * nv, width)
     pool = np.minimum(spread, POOL_PX)
     band = BANDS[int(np.searchsorted(BAND_LIMITS_PX, float(pool.max())))]
-    rows = (len(part), -1)
     return Places(
-        pixel=(u[inner].reshape(rows), v[inner].reshape(rows)),
-        normal=(nu.reshape(rows), nv.reshape(rows)),
-        lines=(place.reshape(len(place), *rows), side.reshape(len(side), *rows)),
+        pixel=(u, v),
+        normal=(nu, nv),
+        lines=(place, side),
         band=(np.array(band)[:, None] * pool).astype(np.float32),
         trust=trust(spread).astype(np.float32),
-        shape=u.shape[1:],
+        shape=np.broadcast_shapes(sags.shape, swings.shape),
     )
 
 
@@ -256,12 +248,3 @@ def _movements(
     depth = loaded_profile(float(np.hypot(rise[0], rise[1])), float(rise[2]), sag, t, view.load)
     down, turned = gravity_direction(view.near, view.far, np.array([0.0, 1e-3]))
     return spread, np.abs(across @ down) * depth / sag, np.abs(across @ (turned - down)) * 1e3 * depth
-
-
-def _along(values: Grid) -> Grid:
-    """Differences of neighbours along the first axis: central ones, one-sided at the ends."""
-    difference = np.empty_like(values)
-    np.subtract(values[2:], values[:-2], out=difference[1:-1])
-    np.subtract(values[1], values[0], out=difference[0])
-    np.subtract(values[-1], values[-2], out=difference[-1])
-    return difference

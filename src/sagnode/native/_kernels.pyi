@@ -11,6 +11,28 @@ Array: TypeAlias = NDArray[Any]
 
 INTERFACE: int
 
+def places(
+    chord: Array,
+    slope: Array,
+    bend: Array,
+    turn: Array,
+    lens: Array,
+    sag: Array,
+    cosine: Array,
+    sine: Array,
+    first: int,
+    u: Array,
+    v: Array,
+    nu: Array,
+    nv: Array,
+    depth: Array,
+) -> None:
+    """:meth:`sagnode.match.family.Family.placed`: samples from ``first`` on into u, v, nu, nv and depth (n, K).
+
+    All single precision, without gaps, but lens (14,): fx, fy, cx, cy, reach, model (0 perfect, 1 pinhole, 2 fisheye)
+    and eight coefficients. chord (N, 3), slope and bend (N,), turn (3, 3), sag, cosine and sine (K,).
+    """
+
 def response(
     image: Array,
     u: Array,

@@ -43,6 +43,7 @@ int require(int condition, const char *what);
 
 /* The functions of the module; their arguments are in _kernels.pyi. */
 PyObject *response(PyObject *module, PyObject *const *words, Py_ssize_t count);
+PyObject *places(PyObject *module, PyObject *const *words, Py_ssize_t count);
 PyObject *response_sums(PyObject *module, PyObject *const *words, Py_ssize_t count);
 
 #endif
