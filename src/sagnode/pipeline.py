@@ -7,7 +7,8 @@ their way into the raw frame, which is exact and touches only the pixels that ar
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable
+from functools import partial
 
 from sagnode.capture.port import GreyImage
 from sagnode.estimate.combine import combine_burst
@@ -25,13 +26,15 @@ from sagnode.site import Site, load_site
 __all__ = ["load_site", "measure_burst", "measure_frame"]
 
 
-def measure_burst(site: Site, images: Sequence[GreyImage], kept: Appearances = ()) -> list[ConductorMeasurement]:
+def measure_burst(site: Site, images: Iterable[GreyImage], kept: Appearances = ()) -> list[ConductorMeasurement]:
     """One reading of every measured conductor from the frames (height, width) uint8 of one burst.
 
-    ``kept``: further appearances of the site's landmarks, where a node has learnt some.
+    ``kept``: further appearances of the site's landmarks, where a node has learnt some. Each picture is asked for when
+    the one before it is measured and let go, so that those who read them one by one need room for one only.
     """
-    shelf = Shelf()
-    return combine_burst([measure_frame(site, image, kept, shelf) for image in images])
+    measure = partial(measure_frame, site, kept=kept, shelf=Shelf())
+    # a loop's variable would hold a picture while the next one is read
+    return combine_burst(list(map(measure, images)))
 
 
 def measure_frame(

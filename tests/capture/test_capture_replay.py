@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import struct
+import weakref
 from datetime import UTC, datetime, timedelta
 from itertools import pairwise
 from pathlib import Path
@@ -13,6 +14,7 @@ import numpy as np
 import pytest
 
 from sagnode.capture import open_source
+from sagnode.capture.port import Frame, FrameSource
 from sagnode.capture.replay import Replay
 from sagnode.capture.taken import name_time, taken_at
 from sagnode.config.node import Camera, ReplaySource
@@ -96,6 +98,45 @@ def test_a_directory_is_shown_in_natural_order_with_its_own_times(tmp_path: Path
     with pytest.raises(EndOfFrames, match="last frame"):
         source.burst(1, 0.0)
     assert source.first_frame_at() is None
+
+
+def test_files_are_read_one_by_one_as_their_frames_are_asked_for(tmp_path: Path) -> None:
+    files = write_day(tmp_path)
+    source = opened(tmp_path)
+    frames = source.frames(3, 0.0)
+    shown = [int(next(frames).image[0, 0])]
+    cv2.imwrite(str(files[1]), picture(200))  # the second file was not read with the first
+    shown += [int(frame.image[0, 0]) for frame in frames]
+    assert shown == [5, 200, 25]
+    # a burst that nobody looked at to its end has been shown all the same
+    next(source.frames(2, 0.0))
+    assert source.first_frame_at() is None
+
+
+class ThreeAtOnce(FrameSource):
+    """Stands for a live camera, of which there is none here."""
+
+    def open(self) -> None:
+        pass
+
+    def burst(self, count: int, interval_s: float) -> list[Frame]:
+        return [Frame(picture(i), NOON, 0.0, "camera") for i in range(count)]
+
+    def close(self) -> None:
+        pass
+
+
+def test_a_camera_that_takes_all_frames_first_holds_none_that_it_has_handed_on() -> None:
+    frames = ThreeAtOnce().frames(3, 0.0)
+    seen = []
+    frame: Frame | None
+    for value in range(3):
+        frame = next(frames)
+        assert int(frame.image[0, 0]) == value
+        seen.append(weakref.ref(frame.image))
+        frame = None
+        assert seen[-1]() is None
+    assert next(frames, None) is None
 
 
 def test_numbers_in_names_are_numbers(tmp_path: Path) -> None:

@@ -1,5 +1,7 @@
 """The whole way of a frame on rendered scenes: numbers near the truth, honest intervals, and refusals with reasons."""
 
+import weakref
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -92,6 +94,26 @@ def test_a_burst_is_combined_and_one_bad_frame_is_left_out(scene_and_moment: tup
     for m in measure_burst(site, frames):
         assert m.validity is not Validity.INVALID
         assert (m.frames_used, m.frames_rejected) == (3, 1)
+
+
+def test_pictures_of_a_burst_are_asked_for_one_by_one_and_let_go(
+    scene_and_moment: tuple[Scene, Moment], site: Site
+) -> None:
+    scene, moment = scene_and_moment
+    images = [render(scene, replace(moment, seed=seed)).image for seed in (1, 2)]
+    handed_on: list[weakref.ref[np.ndarray]] = []
+
+    def pictures() -> Iterator[np.ndarray]:
+        for image in images:
+            assert all(picture() is None for picture in handed_on), "a picture that is measured is still held"
+            read = image.copy()
+            handed_on.append(weakref.ref(read))
+            yield read
+            del read
+
+    one_by_one = measure_burst(site, pictures())
+    assert len(handed_on) == 2
+    assert [m.estimates for m in one_by_one] == [m.estimates for m in measure_burst(site, images)]
 
 
 def test_a_frame_of_a_burst_is_not_persuaded_by_the_frame_before_it(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from datetime import datetime
 
@@ -42,6 +42,17 @@ class FrameSource(ABC):
             EndOfFrames: a replay has no more.
             FrameError: nothing usable came in time.
         """
+
+    def frames(self, count: int, interval_s: float) -> Iterator[Frame]:
+        """The frames of :meth:`burst` one after the other; none is held here any longer once it is handed on.
+
+        A source whose frames wait for nobody takes all of them first; one that has them in files reads each when it is
+        asked for. The errors are those of :meth:`burst`, and may come at any frame.
+        """
+        taken = self.burst(count, interval_s)
+        taken.reverse()
+        while taken:
+            yield taken.pop()
 
     @abstractmethod
     def close(self) -> None:

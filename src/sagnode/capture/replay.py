@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 import time
+from collections.abc import Iterator
 from datetime import UTC, datetime, timedelta
 
 from sagnode.capture.port import Frame, FrameSource
@@ -38,13 +39,17 @@ class Replay(FrameSource):
         if self._config.cadence_s is None:
             self._check_times(self._track)
 
-    def burst(self, count: int, interval_s: float) -> list[Frame]:  # noqa: ARG002 - the port's
+    def burst(self, count: int, interval_s: float) -> list[Frame]:
         """The next ``count`` frames; ``interval_s`` is the files' own.
 
         Raises:
             EndOfFrames: all have been shown (``at_end = "stop"``).
             FrameError: (stale-frame) all have been shown (``"hold"``); (bad-frame) a file of this burst is damaged.
         """
+        return list(self.frames(count, interval_s))
+
+    def frames(self, count: int, interval_s: float) -> Iterator[Frame]:  # noqa: ARG002 - the port's
+        """The same, each file read when its frame is asked for: no more than one is in memory."""
         track = self._opened()
         if self._config.at_end == "hold" and self._next >= track.count():
             track.look_again()
@@ -53,10 +58,12 @@ class Replay(FrameSource):
         if left <= 0:
             raise self._ended(track)
         self._next += left
-        frames = [self._frame(track, shown + i) for i in range(left) if not self._beyond(track, shown + i)]
-        if not frames:
-            raise self._ended(track)
-        return frames
+        for i in range(left):
+            # a video may turn out shorter than it said
+            if not self._beyond(track, shown + i):
+                yield self._frame(track, shown + i)
+            elif i == 0:
+                raise self._ended(track)
 
     def close(self) -> None:
         """Close the video, if one is open."""

@@ -12,6 +12,7 @@ import os
 import sys
 import time
 import traceback
+from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
@@ -26,7 +27,7 @@ from sagnode.worker import confine
 from sagnode.worker.protocol import ConductorResult, Fault, Hello, MeasureReply, MeasureRequest, WorkerLine
 
 if TYPE_CHECKING:
-    from sagnode.capture.port import Frame, FrameSource
+    from sagnode.capture.port import Frame, FrameSource, GreyImage
     from sagnode.config.load import LoadedNode
     from sagnode.measurement import ConductorMeasurement
     from sagnode.site import Site
@@ -170,22 +171,52 @@ def _send(replies: IO[bytes], line: WorkerLine) -> None:
     replies.flush()
 
 
+class _Burst:
+    """Hands a burst's pictures on one by one, and holds no more of them than the first, whose time is the reading's."""
+
+    def __init__(self, frames: Iterator[Frame]) -> None:
+        self._frames = frames
+        self._waited_s = 0.0
+        self._started = time.monotonic()
+        self.first = self._next()
+
+    def __iter__(self) -> Iterator[GreyImage]:
+        """Every picture once."""
+        yield self.first.image
+        while True:
+            try:
+                yield self._next().image
+            except StopIteration:
+                return
+
+    def elapsed_s(self) -> float:
+        """Time since the first frame was asked for, without that of waiting for frames."""
+        return time.monotonic() - self._started - self._waited_s
+
+    def _next(self) -> Frame:
+        """Raises FrameError, and StopIteration after the last."""
+        began = time.monotonic()
+        try:
+            return next(self._frames)
+        finally:
+            self._waited_s += time.monotonic() - began
+
+
 def _measure(request: MeasureRequest, task: _Task) -> tuple[MeasureReply, Frame]:
     """One burst, measured, and its first frame."""
     from sagnode.estimate.explain import lens_of
     from sagnode.pipeline import measure_burst
 
     camera, site, source, album = task.loaded.node.camera, task.site, task.source, task.album
-    frames = source.burst(camera.burst, camera.burst_interval_s)
-    started = time.monotonic()
-    measurements = measure_burst(site, [frame.image for frame in frames], album.kept if album else ())
-    lens = lens_of(site, frames[0].image)
-    elapsed = time.monotonic() - started
-    overlays = _draw(Path(request.overlay_dir), frames[-1], measurements) if request.overlay_dir else {}
+    burst = _Burst(source.frames(camera.burst, camera.burst_interval_s))
+    measurements = measure_burst(site, burst, album.kept if album else ())
+    lens = lens_of(site, burst.first.image)
+    elapsed = burst.elapsed_s()
+    overlays = _draw(Path(request.overlay_dir), burst.first, measurements) if request.overlay_dir else {}
     reply = MeasureReply(
         id=request.id,
-        acquired_at=frames[0].utc,
-        monotonic_s=frames[0].monotonic_s,
+        acquired_at=burst.first.utc,
+        monotonic_s=burst.first.monotonic_s,
         camera=source.describe(),
         results=tuple(conductor_result(measurement) for measurement in measurements),
         overlays=overlays,
@@ -195,7 +226,7 @@ def _measure(request: MeasureRequest, task: _Task) -> tuple[MeasureReply, Frame]
         memory_mb=confine.resident_mb(),
         next_frame_at=source.first_frame_at(),
     )
-    return reply, frames[0]
+    return reply, burst.first
 
 
 def conductor_result(measurement: ConductorMeasurement) -> ConductorResult:
