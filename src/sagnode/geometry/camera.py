@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -41,6 +42,14 @@ class Intrinsics:
     def matrix(self) -> FloatArray:
         """K, 3x3."""
         return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
+
+    @cached_property
+    def packed(self) -> FloatArray:
+        """All of it (17,), as compiled functions take it."""
+        d = self.distortion
+        kind = (self.model == "fisheye", any(d))
+        lens = (self.width, self.height, self.fx, self.fy, self.cx, self.cy, self.reach)
+        return np.array([*kind, *lens, *(*d, *([0.0] * 8))[:8]], dtype=np.float64)
 
     def without_distortion(self) -> Intrinsics:
         """The same camera with a perfect lens (the paper's Table 8, "before correction")."""

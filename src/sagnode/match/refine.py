@@ -16,6 +16,7 @@ from sagnode.match.localise import Beside, Blocks, localise_beside
 from sagnode.match.ribbon import arc_length, line_response, normals
 from sagnode.match.robust import median
 from sagnode.match.templates import View, visible_part
+from sagnode.native import kernels
 
 WINDOW_PX = 24.0
 WINDOW_SHARE = 0.04
@@ -107,14 +108,24 @@ def trace(view: View, sag: float, swing: float, margin: float = 3.0) -> Track | 
     count = min(int(arc[-1]) + 1, MAX_SAMPLES) if arc.size else 0
     if count < MIN_LENGTH_PX:
         return None
+    t, pixels, depth, normal, along = _samples(view, sag, swing, arc, at, count)
+    return Track(t, pixels, normal, view.width_px(depth), along, view.across(sag, swing, t, normal))
+
+
+def _samples(
+    view: View, sag: float, swing: float, arc: FloatArray, at: FloatArray, count: int
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Samples evenly along the visible part: parameters, pixels, depths, unit normals, lengths along the curve."""
+    if kernels is not None:
+        (t, depth, along), (pixels, normal) = np.empty((3, count)), np.empty((2, count, 2))
+        seen = kernels.curve_track(*view.words(sag, swing), arc, at, t, pixels, depth, normal, along)
+        return t[:seen], pixels[:seen], depth[:seen], normal[:seen], along[:seen]
     t = np.interp(np.linspace(0.0, arc[-1], count), arc, at)
     pixels, depth = view.pixels(sag, swing, t)
     keep = np.isfinite(pixels).all(axis=1)
     if not keep.all():
         t, pixels, depth = t[keep], pixels[keep], depth[keep]
-    normal = normals(pixels)
-    members = view.across(sag, swing, t, normal)
-    return Track(t, pixels, normal, view.width_px(depth), arc_length(pixels), members)
+    return t, pixels, depth, normals(pixels), arc_length(pixels)
 
 
 def mixed_samples(track: Track, count: int) -> NDArray[np.intp]:

@@ -8,11 +8,14 @@ departure from its parabola is added in space before projection, and distortion 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 
 from sagnode.geometry.camera import FloatArray, Intrinsics, Pose, project
 from sagnode.geometry.conductor import conductor_points, control_points
+from sagnode.native import kernels
 
 SAMPLES = 128
 STEP_PX = 1.6
@@ -40,7 +43,24 @@ class View:
 
     def pixels(self, sag: float, swing: float, t: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Pixels (N, 2) and depths (N,) of one curve; NaN where it is not ahead of the camera."""
+        if kernels is not None:
+            pixels, depth = np.empty((len(t), 2)), np.empty(len(t))
+            kernels.curve_pixels(*self.words(sag, swing), t, pixels, depth)
+            return pixels, depth
         return project(self.intrinsics, self.pose, conductor_points(self.near, self.far, sag, swing, t, self.load))
+
+    def words(self, sag: float, swing: float) -> tuple[Any, ...]:
+        """One curve, as compiled functions take it."""
+        return (*self._fixed, sag, swing, self._load)
+
+    @cached_property
+    def _fixed(self) -> tuple[FloatArray, ...]:
+        own = (self.pose.rotation, self.pose.position, self.near, self.far)
+        return (self.intrinsics.packed, *(np.asarray(part, dtype=np.float64) for part in own))
+
+    @cached_property
+    def _load(self) -> FloatArray:
+        return np.array(self.load, dtype=np.float64)
 
     def across(self, sag: float, swing: float, t: FloatArray, normal: FloatArray) -> FloatArray:
         """Offsets (m, N) of the sub-conductors from the curve along its normals (N, 2), px.
@@ -94,6 +114,10 @@ def visible_part(view: View, sag: float, swing: float, margin: float = 3.0) -> t
 
     Hidden stretches have no length, so that two parameters share one. Empty where nothing is visible.
     """
+    if kernels is not None:
+        both = np.empty((2, 4 * NODES))
+        found = kernels.curve_visible(*view.words(sag, swing), margin, NODES, NEAREST_SHARE, *both)
+        return both[0, :found], both[1, :found]
     t = _nodes(view)
     pixels, _ = view.pixels(sag, swing, t)
     first, step = pixels[:-1], pixels[1:] - pixels[:-1]
@@ -111,8 +135,8 @@ def visible_part(view: View, sag: float, swing: float, margin: float = 3.0) -> t
         return np.empty(0), np.empty(0)
     arc = np.concatenate([[0.0], np.cumsum(length[seen])])
     start, stretch = t[:-1][seen], np.diff(t)[seen]
-    both = np.stack([start + enter[seen] * stretch, start + leave[seen] * stretch], axis=1)
-    return np.stack([arc[:-1], arc[1:]], axis=1).ravel(), both.ravel()
+    ends = np.stack([start + enter[seen] * stretch, start + leave[seen] * stretch], axis=1)
+    return np.stack([arc[:-1], arc[1:]], axis=1).ravel(), ends.ravel()
 
 
 def _nodes(view: View) -> FloatArray:

@@ -65,3 +65,64 @@ def response_sums(
     weights: Array,
 ) -> None:
     """Sums over the samples in the frame of their weight (M,) times response, and of weight: (N,), double precision."""
+
+# What is measured below is double precision. A camera is told by sagnode.geometry.camera.Intrinsics.packed (17,), the
+# rotation (3, 3) and position (3,) of its pose; a conductor by near (3,), far (3,), sag, swing and load (K,).
+
+def curve_pixels(
+    lens: Array,
+    rotation: Array,
+    position: Array,
+    near: Array,
+    far: Array,
+    sag: float,
+    swing: float,
+    load: Array,
+    t: Array,
+    pixels: Array,
+    depth: Array,
+) -> None:
+    """:meth:`sagnode.match.templates.View.pixels` at t (N,) into pixels (N, 2) and depth (N,)."""
+
+def curve_visible(
+    lens: Array,
+    rotation: Array,
+    position: Array,
+    near: Array,
+    far: Array,
+    sag: float,
+    swing: float,
+    load: Array,
+    margin: float,
+    nodes: float,
+    nearest: float,
+    arc: Array,
+    t: Array,
+) -> int:
+    """:func:`sagnode.match.templates.visible_part` into the beginning of arc and t (4 * nodes,); how many there are.
+
+    nodes and nearest are NODES and NEAREST_SHARE there.
+    """
+
+def curve_track(
+    lens: Array,
+    rotation: Array,
+    position: Array,
+    near: Array,
+    far: Array,
+    sag: float,
+    swing: float,
+    load: Array,
+    arc: Array,
+    at: Array,
+    t: Array,
+    pixels: Array,
+    depth: Array,
+    normal: Array,
+    along: Array,
+) -> int:
+    """Samples evenly along a visible part, arc and at (K,) as ``curve_visible`` gives them; how many the camera sees.
+
+    They begin t, depth and along, the length there (N,), pixels and normal (N, 2): what
+    :func:`sagnode.match.refine.trace` makes of them.
+    """

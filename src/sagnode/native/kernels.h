@@ -45,5 +45,8 @@ int require(int condition, const char *what);
 PyObject *response(PyObject *module, PyObject *const *words, Py_ssize_t count);
 PyObject *places(PyObject *module, PyObject *const *words, Py_ssize_t count);
 PyObject *response_sums(PyObject *module, PyObject *const *words, Py_ssize_t count);
+PyObject *curve_pixels(PyObject *module, PyObject *const *words, Py_ssize_t count);
+PyObject *curve_visible(PyObject *module, PyObject *const *words, Py_ssize_t count);
+PyObject *curve_track(PyObject *module, PyObject *const *words, Py_ssize_t count);
 
 #endif

@@ -54,11 +54,14 @@ static PyMethodDef functions[] = {
     {"places", (PyCFunction)(void (*)(void))places, METH_FASTCALL, NULL},
     {"response", (PyCFunction)(void (*)(void))response, METH_FASTCALL, NULL},
     {"response_sums", (PyCFunction)(void (*)(void))response_sums, METH_FASTCALL, NULL},
+    {"curve_pixels", (PyCFunction)(void (*)(void))curve_pixels, METH_FASTCALL, NULL},
+    {"curve_visible", (PyCFunction)(void (*)(void))curve_visible, METH_FASTCALL, NULL},
+    {"curve_track", (PyCFunction)(void (*)(void))curve_track, METH_FASTCALL, NULL},
     {NULL, NULL, 0, NULL},
 };
 
 /* Bump with every change of a function's arguments or meaning: see INTERFACE in __init__.py. */
-#define INTERFACE 2
+#define INTERFACE 3
 
 static int fill(PyObject *module) { return PyModule_AddIntConstant(module, "INTERFACE", INTERFACE); }
 
