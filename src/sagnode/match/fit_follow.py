@@ -16,9 +16,10 @@ from numpy.typing import NDArray
 
 from sagnode.capture.port import GreyImage
 from sagnode.geometry.camera import FloatArray
+from sagnode.match.across import correlation
 from sagnode.match.fit_curve import Curve, Prior, adjust
 from sagnode.match.kernels import STEP_PX, kernel_reach, unit_kernels
-from sagnode.match.localise import block_starts, correlation
+from sagnode.match.localise import block_starts
 from sagnode.match.ribbon import arc_length, normals
 
 KERNELS = ((1.5, 1.2), (1.5, 3.0), (3.0, 3.0), (6.0, 3.0), (11.0, 3.0))

@@ -21,8 +21,6 @@ SIDE_OFFSET_PX = 2.5
 RESPONSE_CLIP = 24.0
 """Grey levels above which one sample counts no more: strong edges of towers and clouds must not outvote a thin wire."""
 
-PIECE_PX = 256.0
-"""Length of ribbon whose surroundings are made single precision at once: small enough for the cache."""
 NO_BAND = np.zeros((1, 1), dtype=np.float32)
 Singles = NDArray[np.float32]
 
@@ -49,39 +47,27 @@ def arc_length(pixels: FloatArray) -> FloatArray:
 
 
 def straighten(image: GreyImage | Singles, pixels: FloatArray, normal: FloatArray, offsets: FloatArray) -> Singles:
-    """The ribbon (N, K) of bilinear grey values at ``offsets`` (K,) px, rising, across a polyline (N, 2).
+    """The ribbon (N, K) of bilinear grey values at ``offsets`` (K,) px across a polyline (N, 2).
 
-    Values are not rounded to whole grey levels, which would round a faint wire away; beyond the frame its edge goes on.
-    An 8-bit frame is made single precision piece by piece along the polyline, only where the ribbon lies.
+    Values are not rounded to whole grey levels, which would round a faint wire away, nor are places rounded, as OpenCV
+    rounds them to 1/32 px, which would shift a level wire; beyond the frame its edge goes on.
     """
-    across = offsets.astype(np.float32)
-    if image.dtype == np.float32 or len(pixels) < 2:
-        return _sampled(image.astype(np.float32, copy=False), pixels, normal, across)
-    ribbon = np.empty((len(pixels), len(offsets)), dtype=np.float32)
-    spacing = float(np.hypot(*(pixels[-1] - pixels[0]))) / (len(pixels) - 1)
-    piece = max(8, int(PIECE_PX / max(spacing, 0.1)))
-    # the box of every piece: the frame ends where it ends, and two pixels are the least that can be interpolated
-    starts = np.arange(0, len(pixels), piece)
-    first, last = pixels + offsets[0] * normal, pixels + offsets[-1] * normal
-    most = np.array(image.shape[::-1]) - 2.0
-    low = np.floor(np.minimum.reduceat(np.minimum(first, last), starts))
-    high = np.ceil(np.maximum.reduceat(np.maximum(first, last), starts)) + 2
-    low = np.minimum(np.maximum(low, 0), most)
-    high = np.minimum(np.maximum(high, low + 2), most + 2)
-    boxes = np.concatenate([low, high], axis=1).astype(int).tolist()
-    for start, (left, top, right, bottom) in zip(starts.tolist(), boxes, strict=True):
-        rows = slice(start, start + piece)
-        part = image[top:bottom, left:right].astype(np.float32)
-        ribbon[rows] = _sampled(part, pixels[rows] - (left, top), normal[rows], across)
-    return ribbon
+    height, width = image.shape
+    column, right = _between(pixels[:, :1] + offsets * normal[:, :1], width)
+    row, below = _between(pixels[:, 1:] + offsets * normal[:, 1:], height)
+    # one place in memory for each of the four pixels about a sample
+    grey, place = np.ascontiguousarray(image).reshape(-1), row * width + column
+    a, b, c, d = (grey.take(place + step).astype(np.float32, copy=False) for step in (0, 1, width, width + 1))
+    upper, lower = a + right * (b - a), c + right * (d - c)
+    return np.asarray(upper + below * (lower - upper), dtype=np.float32)
 
 
-def _sampled(image: Singles, pixels: FloatArray, normal: FloatArray, across: Singles) -> Singles:
-    """Bilinear values (N, K) of a picture at offsets (K,) along normals (N, 2) from a polyline (N, 2)."""
-    u, v = pixels.astype(np.float32).T[..., None]
-    nu, nv = normal.astype(np.float32).T[..., None]
-    values = cv2.remap(image, u + across * nu, v + across * nv, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    return np.asarray(values, dtype=np.float32)
+def _between(place: FloatArray, end: int) -> tuple[NDArray[np.intp], Singles]:
+    """The first of the two pixels that places lie between along an axis, and the share of the second."""
+    with np.errstate(invalid="ignore"):
+        inside = np.minimum(np.fmax(place, 0.0), end - 1.0)
+    first = np.minimum(inside.astype(np.intp), end - 2)
+    return first, (inside - first).astype(np.float32)
 
 
 def line_response(

@@ -10,7 +10,7 @@ from __future__ import annotations
 import os
 from types import ModuleType
 
-INTERFACE = 3
+INTERFACE = 4
 """Of the compiled module that this version knows how to call; one that was built from other sources is left out."""
 
 

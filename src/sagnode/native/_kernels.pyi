@@ -66,6 +66,30 @@ def response_sums(
 ) -> None:
     """Sums over the samples in the frame of their weight (M,) times response, and of weight: (N,), double precision."""
 
+def localise(
+    image: Array,
+    pixels: Array,
+    normal: Array,
+    width: Array,
+    half_range: Array,
+    members: Array,
+    starts: Array,
+    centres: Array,
+    blur_px: float,
+    margin_px: float,
+    blocks: Array,
+    valid: Array,
+    beside: Array,
+    inside: Array,
+) -> None:
+    """:func:`sagnode.match.across.look_across`: M blocks at ``starts``, S + 1 places at ``centres``, 0 the first.
+
+    image uint8 or single precision; pixels and normal (N, 2), width and half_range (N,), members (m, N), m up to 64,
+    are double precision, starts (M,) and centres (S + 1,) int64 without gaps. Results: blocks (8, M) of which the
+    first five are offset, sigma, snr, correlation and contrast, valid (M,) bool, beside (S, M) the snr at the other
+    places, inside (S, M) bool.
+    """
+
 # What is measured below is double precision. A camera is told by sagnode.geometry.camera.Intrinsics.packed (17,), the
 # rotation (3, 3) and position (3,) of its pose; a conductor by near (3,), far (3,), sag, swing and load (K,).
 

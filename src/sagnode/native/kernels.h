@@ -48,5 +48,6 @@ PyObject *response_sums(PyObject *module, PyObject *const *words, Py_ssize_t cou
 PyObject *curve_pixels(PyObject *module, PyObject *const *words, Py_ssize_t count);
 PyObject *curve_visible(PyObject *module, PyObject *const *words, Py_ssize_t count);
 PyObject *curve_track(PyObject *module, PyObject *const *words, Py_ssize_t count);
+PyObject *localise(PyObject *module, PyObject *const *words, Py_ssize_t count);
 
 #endif
