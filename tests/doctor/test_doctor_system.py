@@ -70,6 +70,24 @@ def test_without_systemd_nothing_is_claimed(machine):
     assert found["hardware watchdog"].level is Level.WARNING
 
 
+@pytest.mark.parametrize(
+    ("why", "level", "remedy"),
+    [
+        ("", Level.OK, ""),
+        ("left out, as SAGNODE_NATIVE=0 says", Level.WARNING, "SAGNODE_NATIVE"),
+        (
+            "they were not built when sagnode was installed",
+            Level.WARNING,
+            "install the Debian package, or: apt install gcc",
+        ),
+    ],
+)
+def test_whether_the_compiled_kernels_are_in_use(machine, monkeypatch, why, level, remedy):
+    monkeypatch.setattr("sagnode.doctor.system.why_not", why)
+    found = machine()["compiled kernels"]
+    assert found.level is level and remedy in found.remedy and why in found.text
+
+
 def test_versions_name_the_board(tmp_path):
     (tmp_path / "proc/device-tree").mkdir(parents=True)
     (tmp_path / "proc/device-tree/model").write_text("Raspberry Pi 5 Model B Rev 1.0\0")

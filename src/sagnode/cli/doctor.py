@@ -15,8 +15,8 @@ if TYPE_CHECKING:
 
 DESCRIPTION = """Look a node over before it is trusted, or when it does not do what it should: configuration, state
 directory and journal, calibration, reference picture, camera and a reading through it, the broker step by step, clock,
-watchdogs, service, versions. It changes nothing, publishes nothing, and may run beside the daemon: the camera and the
-broker's log-in are then the daemon's, and what it says of them counts."""
+watchdogs, service, compiled kernels, versions. It changes nothing, publishes nothing, and may run beside the daemon:
+the camera and the broker's log-in are then the daemon's, and what it says of them counts."""
 EPILOG = """exit codes: 0 no fault (there may be warnings), 1 a check failed, 2 usage or bad configuration;
 a bundle contains host names, the survey, logs and pictures, but no passwords and no keys: look before you send it"""
 SERVICE_CONFIG = Path("/etc/sagnode")

@@ -1,4 +1,4 @@
-"""The machine and its service manager: clock, watchdogs, service, heat and voltage, versions."""
+"""The machine and its service manager: clock, watchdogs, service, heat and voltage, compiled code, versions."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from pathlib import Path
 from sagnode import __version__
 from sagnode.daemon.machine import Machine
 from sagnode.doctor.findings import Finding, fault, ok, skipped, warning
+from sagnode.native import why_not
 
 UNIT = "sagnode.service"
 PACKAGES = ("numpy", "opencv-python-headless", "pydantic", "paho-mqtt", "apscheduler", "PyYAML")
@@ -35,6 +36,7 @@ def check_system(root: Path = Path("/")) -> Iterator[Finding]:
     yield from _service(manager, unit)
     yield _processor(machine)
     yield _memory(machine)
+    yield _kernels()
     yield versions(root)
 
 
@@ -117,6 +119,16 @@ def _memory(machine: Machine) -> Finding:
     if free < _MEMORY_MB:
         return warning("memory", f"{free:.0f} MB available", "end other programs; a frame needs some 100 MB to measure")
     return ok("memory", f"{free:.0f} MB available")
+
+
+def _kernels() -> Finding:
+    check = "compiled kernels"
+    if not why_not:
+        return ok(check, "in use")
+    remedy = "install the Debian package, or: apt install gcc libc6-dev python3-dev, and sagnode anew"
+    if "SAGNODE_NATIVE" in why_not:
+        remedy = "take SAGNODE_NATIVE=0 out of the environment"
+    return warning(check, f"not in use, so that a frame takes longer: {why_not}", remedy)
 
 
 def versions(root: Path = Path("/")) -> Finding:

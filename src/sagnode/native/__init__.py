@@ -7,6 +7,7 @@ extension out, for comparisons.
 
 from __future__ import annotations
 
+import importlib
 import os
 from types import ModuleType
 
@@ -14,15 +15,19 @@ INTERFACE = 4
 """Of the compiled module that this version knows how to call; one that was built from other sources is left out."""
 
 
-def _load() -> ModuleType | None:
+def _load() -> tuple[ModuleType | None, str]:
     if os.environ.get("SAGNODE_NATIVE", "1") == "0":
-        return None
+        return None, "left out, as SAGNODE_NATIVE=0 says"
     try:
-        from sagnode.native import _kernels
-    except ImportError:
-        return None
-    return _kernels if _kernels.INTERFACE == INTERFACE else None
+        built = importlib.import_module("sagnode.native._kernels")
+    except ModuleNotFoundError:
+        return None, "they were not built when sagnode was installed"
+    except ImportError as error:
+        return None, f"they cannot be loaded: {error}"
+    if built.INTERFACE != INTERFACE:
+        return None, "they were built from the sources of another version"
+    return built, ""
 
 
-kernels = _load()
-"""The compiled functions (see ``_kernels.pyi``), or None where there are none."""
+kernels, why_not = _load()
+"""The compiled functions (see ``_kernels.pyi``), or None where there are none, and then why."""
