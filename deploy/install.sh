@@ -107,7 +107,11 @@ check_package() {
 
 install_system_packages() {
 	local wanted=(python3 ca-certificates) missing=() name
-	[ -n "$package" ] || wanted+=(python3-venv)
+	if [ -z "$package" ]; then
+		wanted+=(python3-venv)
+		# Where there is a compiler, as on Raspberry Pi OS, all that it lacks for the compiled kernels.
+		! command -v gcc >/dev/null || wanted+=(python3-dev)
+	fi
 	# Picamera2 is bound to the system's libcamera; it cannot come from PyPI.
 	! is_raspberry_pi || wanted+=(python3-picamera2)
 	for name in "${wanted[@]}"; do
@@ -157,6 +161,10 @@ build_release() {
 	run cp "$SELF" "$release/install.sh"
 	run "$release/venv/bin/python" -c 'import cv2, numpy, pydantic, paho.mqtt.client, apscheduler, sagnode' ||
 		fail "the new release does not work on this machine; nothing was changed"
+	run "$release/venv/bin/python" -c 'import sys; from sagnode.native import why_not; sys.exit(why_not or 0)' || {
+		say "WARNING: sagnode works without its compiled kernels here (why is above): a frame takes longer"
+		say "         to have them: --from PACKAGE, or apt install gcc libc6-dev python3-dev and this again"
+	}
 	# The service may not write here, so that its imports would be compiled anew at every start.
 	run "$release/venv/bin/python" -m compileall -q -j 0 "$release/venv/lib" || say "some modules could not be compiled"
 	[ "$dry_run" = yes ] || say "$("$release/venv/bin/sagnode" --version), $(du -sm "$release" | cut -f1) MB"
@@ -187,15 +195,15 @@ pip_release() {
 	run mkdir "$source"
 	run cp -r "$HERE"/pyproject.toml "$HERE"/README.md "$HERE"/LICENSE "$HERE"/src "$source" ||
 		fail "$HERE is not a whole checkout"
-	run rm -rf "$source"/src/*.egg-info
-	# Wheels only, and only those whose hashes are in the lock: nothing is compiled here, and nothing else comes in.
+	run rm -rf "$source"/src/*.egg-info "$source"/src/sagnode/native/*.so
+	# Wheels only, and only those whose hashes are in the lock: nothing of others is compiled, and nothing else comes in.
 	local pip=("$release/venv/bin/python" -m pip)
 	local install=("${pip[@]}" install --quiet --disable-pip-version-check --no-warn-script-location)
 	run "${install[@]}" --only-binary=:all: --require-hashes --requirement "$HERE/deploy/requirements-$codename.txt" ||
 		fail "pip could not install the packages (its words are above)" \
 			"is the network up, and pypi.org or your mirror (PIP_INDEX_URL) reachable?"
 	run "${install[@]}" --no-deps --no-build-isolation "$source" || fail "pip could not install sagnode itself"
-	run "${pip[@]}" uninstall --quiet --yes setuptools
+	run "${pip[@]}" uninstall --quiet --yes setuptools packaging
 	run rm -rf "$source"
 	run cp -r "$HERE/systemd" "$release/systemd"
 	run cp "$HERE/README.md" "$HERE/LICENSE" "$HERE/deploy/certificates/sagnode-enrol" "$HERE/deploy/update.py" "$release/"

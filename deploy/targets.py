@@ -8,6 +8,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -45,12 +46,14 @@ MACHINES = {"amd64": "x86_64", "arm64": "aarch64"}
 """Debian's names and pip's."""
 
 
-def pip(*words: str | Path) -> None:
-    """Run pip, quietly; its words on failure are the message."""
+def pip(*words: str | Path, environment: Mapping[str, str] | None = None) -> str:
+    """Run pip, quietly, with more in its environment; its words, which on failure are the message."""
     command = [sys.executable, "-m", "pip", *map(str, words)]
-    ran = subprocess.run(command, capture_output=True, text=True, env={**os.environ, "PIP_NO_INPUT": "1"}, check=False)
+    env = {**os.environ, "PIP_NO_INPUT": "1", **(environment or {})}
+    ran = subprocess.run(command, capture_output=True, text=True, env=env, check=False)
     if ran.returncode:
         sys.exit(f"pip {words[0]} failed:\n{ran.stderr.strip()}")
+    return ran.stdout + ran.stderr
 
 
 def platform_words(suite: Suite, arch: str) -> list[str]:

@@ -150,8 +150,16 @@ def lanes() -> tuple[Lane, ...]:
         ),
         Lane(
             "package-here",
-            "the package of this very system unpacked: its size, a reading, lintian",
+            "the package of this very system unpacked: its size, a reading, its compiled kernels, lintian",
             ((sys.executable, f"{HERE}/package_here.py"),),
+            (),
+            root=False,
+            limit_s=QUICK_S,
+        ),
+        Lane(
+            "sanitized",
+            "the compiled kernels with every access to memory and every conversion watched",
+            ((sys.executable, "scripts/sanitize.py"),),
             (),
             root=False,
             limit_s=QUICK_S,

@@ -38,8 +38,11 @@ ok 'the configuration is the service'"'"'s to read, and the user may use cameras
 # A reading, as the service's user, out of the demonstration's pictures that come with the package.
 site=$(echo /usr/lib/sagnode/venv/lib/python3.*/site-packages/sagnode/demo/site)
 mkdir -p /tmp/site && cp -r "$site"/. /tmp/site && rm -f /tmp/site/frames/*T0* && chmod -R a+rX /tmp/site
+measure() {
+	(cd /tmp && runuser -u sagnode -- env SAGNODE_NATIVE="$1" sagnode measure /tmp/site/frames/20260621T120000Z.jpg --config /tmp/site --json)
+}
 reading() {
-	(cd /tmp && runuser -u sagnode -- sagnode measure /tmp/site/frames/20260621T120000Z.jpg --config /tmp/site --json) >/tmp/reading.json
+	measure 1 >/tmp/reading.json
 	python3 - <<-'P'
 		import json
 		for r in json.load(open("/tmp/reading.json"))["readings"]:
@@ -50,6 +53,17 @@ reading() {
 began=$(date +%s)
 reading || fail "no reading: $(head -c 400 /tmp/reading.json)"
 ok "a reading in $(($(date +%s) - began)) s"
+# The module that was compiled for this processor, against NumPy on the same processor.
+(cd /tmp && /usr/lib/sagnode/venv/bin/python -c 'import sys; from sagnode.native import why_not; sys.exit(why_not or 0)') ||
+	fail 'the compiled kernels are not in use'
+measure 0 >/tmp/plain.json || fail "no reading without the compiled kernels: $(head -c 400 /tmp/plain.json)"
+python3 - <<-'P' || fail 'the compiled kernels measure something else'
+	import json
+	one, other = (json.load(open(f"/tmp/{name}.json"))["readings"] for name in ("reading", "plain"))
+	most = max(abs(a["sag_m"] - b["sag_m"]) / b["sag_u"] for a, b in zip(one, other, strict=True))
+	assert most <= 0.01, most
+	print(f"ok    the compiled kernels are in use; without them the sags are the same within {most:.5f} u")
+P
 runuser -u sagnode -- sagnode doctor --config /tmp/site || fail 'doctor finds a fault'
 rm -rf /tmp/site
 
