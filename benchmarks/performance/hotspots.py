@@ -1,4 +1,4 @@
-"""Which functions the remaining time goes to, and the floor: the picture's samples and OpenCV's own work alone.
+"""Which functions the remaining time goes to, and the floor under it.
 
 py-spy looks at the stack from outside some hundred times a second, so that it makes nothing slower that is looked at:
 a tracing profiler would charge Python for its own bookkeeping.
@@ -10,20 +10,16 @@ import shutil
 import subprocess
 import sys
 import sysconfig
-import time
 from collections import Counter
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
 import cv2
-import numpy as np
 
-from performance.frames import Shot, shot
+from performance.floor import floor, least
+from performance.frames import shot
 from performance.node import write_node
 from performance.plan import Plan
-from performance.stages import replaced
 from sagnode.pipeline import measure_frame
 
 HERE = Path(__file__).parent
@@ -31,8 +27,6 @@ VIEWS = ("tower", "field")
 TOP = 16
 RATE_HZ = 250
 ENTRY = "measure_frame"
-PICTURE_CALLS = ("remap", "matchTemplate", "calcOpticalFlowPyrLK", "filter2D", "sepFilter2D", "meanStdDev", "calcHist")
-"""OpenCV's functions that read pixels in the pipeline; those that it does not call cost nothing here."""
 
 
 def measure(plan: Plan) -> dict[str, Any]:
@@ -48,7 +42,7 @@ def _profile(plan: Plan, name: str) -> dict[str, Any]:
         return measure_frame(picture.site, picture.image)
 
     work()
-    plain = _least(work, plan.rounds)
+    plain = least(work, plan.rounds)
     stacks = _sampled(plan, write_node(picture, plan.folder / f"node-{name}").path)
     rows, kinds = summed(stacks, 1e3 * plain)
     return {
@@ -57,7 +51,7 @@ def _profile(plan: Plan, name: str) -> dict[str, Any]:
         "samples": sum(stacks.values()),
         "top": rows[:TOP],
         "kinds": kinds,
-        "floor": list(_floor(picture, plan.rounds)),
+        "floor": list(floor(picture, plan.rounds)),
     }
 
 
@@ -112,90 +106,3 @@ def summed(stacks: Counter[tuple[str, ...]], total_ms: float) -> tuple[list[dict
 def _name(frame: str) -> str:
     function, _, file = frame.partition(" (")
     return f"{Path(file).stem}.{function}"
-
-
-def _floor(picture: Shot, rounds: int) -> Iterator[tuple[str, float]]:
-    """What the reading of the needed pixels and the arithmetic on them cost by themselves, ms."""
-    with _recorded() as calls:
-        measure_frame(picture.site, picture.image)
-    whole = 0.0
-    for name, recorded in calls.items():
-        if recorded:
-            function = getattr(cv2, name)
-            seconds = _least(lambda f=function, r=recorded: [f(*a, **k) for a, k in r], rounds)
-            whole += seconds
-            yield f"the same {len(recorded)} calls of `cv2.{name}` with the same arguments again", 1e3 * seconds
-    samples = sum(int(np.size(arguments[1])) for arguments, _ in calls["remap"])
-    yield "all of these together", 1e3 * whole
-    places = _places(picture, calls["remap"])
-    flat = picture.image.reshape(-1)
-    yield f"reading each of the {len(places):,} pixels under them once", 1e3 * _least(lambda: flat.take(places), rounds)
-    yield (
-        f"arithmetic of the line response on {samples:,} samples (three of them one response)",
-        1e3 * _arithmetic(samples // 3, rounds),
-    )
-    frame = picture.image
-    yield (
-        f"reading each of the frame's {frame.size / 1e6:.1f} million pixels once (`cv2.sumElems`)",
-        1e3 * _least(lambda: cv2.sumElems(frame), rounds),
-    )
-    data = np.fromfile(picture.jpeg, dtype=np.uint8)
-    yield (
-        "decoding the frame from JPEG",
-        1e3 * _least(lambda: cv2.imdecode(data, cv2.IMREAD_GRAYSCALE), rounds),
-    )
-
-
-@contextmanager
-def _recorded() -> Iterator[dict[str, list[tuple[tuple[Any, ...], dict[str, Any]]]]]:
-    """Note the arguments of every call of OpenCV that reads pixels."""
-    calls: dict[str, list[tuple[tuple[Any, ...], dict[str, Any]]]] = {name: [] for name in PICTURE_CALLS}
-
-    def noted(name: str, original: Callable[..., Any]) -> Callable[..., Any]:
-        def call(*arguments: Any, **named: Any) -> Any:
-            calls[name].append((arguments, named))
-            return original(*arguments, **named)
-
-        return call
-
-    with ExitStack() as stack:
-        for name in PICTURE_CALLS:
-            stack.enter_context(replaced("cv2", name, noted(name, getattr(cv2, name))))
-        yield calls
-
-
-def _places(picture: Shot, calls: list[tuple[tuple[Any, ...], dict[str, Any]]]) -> np.ndarray:
-    """Flat indices (K,) of the pixels nearest to all samples of the frame, each once."""
-    height, width = picture.image.shape
-    seen = np.zeros(height * width, dtype=bool)
-    for arguments, _ in calls:
-        source, u, v = arguments[:3]
-        if source.shape != picture.image.shape or u is None or u.ndim != 2 or v is None:
-            continue
-        column, row = (np.rint(np.asarray(part)).astype(np.int64) for part in (u, v))
-        inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
-        seen[(row * width + column)[inside]] = True
-    return np.flatnonzero(seen)
-
-
-def _arithmetic(responses: int, rounds: int) -> float:
-    """The response of so many triples of samples, and its mean, s."""
-    rng = np.random.default_rng(1)
-    side, other, centre = (rng.integers(0, 255, responses).astype(np.int16) for _ in range(3))
-
-    def respond() -> float:
-        a, b = side - centre, other - centre
-        response = np.maximum(np.minimum(a, b), -np.maximum(a, b))
-        np.clip(response, -24, 24, out=response)
-        return float(response.mean())
-
-    return _least(respond, rounds)
-
-
-def _least(call: Callable[[], object], rounds: int) -> float:
-    spent = []
-    for _ in range(rounds):
-        began = time.process_time()
-        call()
-        spent.append(time.process_time() - began)
-    return min(spent)

@@ -14,11 +14,11 @@ from typing import Any
 
 from performance import wear
 from performance.frames import shot
-from performance.memory import broker_table, journalled
 from performance.node import write_node
 from performance.plan import Plan
 from performance.process import cpu_s
 from performance.proxy import Passed, Proxy
+from performance.running import broker_table, journalled
 from performance.windows import Share, share
 from sagnode.daemon.uplink import topic_prefix
 from sagnode.demo.broker import EmbeddedBroker

@@ -23,6 +23,7 @@ class Plan:
     widths: tuple[int, ...]
     burst_frames: dict[str, tuple[int, ...]]
     daemon_readings: int
+    """Of all conductors."""
     worker_readings: int
     soak_s: float
     """After so many seconds a soak ends with the readings that it has."""
@@ -41,9 +42,9 @@ def quick(folder: Path) -> Plan:
         literal_templates={"lab": 75, "tower": 20, "field": 6},
         widths=(728, 1456, 2912),
         burst_frames={"lab": (1, 2, 4, 8), "tower": (1, 2, 4, 8), "field": (1, 8)},
-        daemon_readings=1500,
-        worker_readings=150,
-        soak_s=120.0,
+        daemon_readings=1200,
+        worker_readings=1200,
+        soak_s=45.0,
         idle_interval_s=10.0,
         idle_readings=8,
         written_readings=120,

@@ -57,27 +57,36 @@ class Slope:
     per_thousand: float
     """Growth for every thousand steps."""
     u: float
-    """Its standard uncertainty, from the scatter about the line."""
-    first: float
+    """Its standard uncertainty, from the scatter of blocks about the line."""
+    settled: float
+    """Mean of the first block."""
+    middle: float
     last: float
+    """Mean of the last block."""
     steps: int
 
 
-def slope(steps: list[float], values: list[float], settled: float = 0.25) -> Slope:
+def slope(steps: list[float], values: list[float], settled: float = 0.25, blocks: int = 20) -> Slope:
     """The slope after the first ``settled`` share of the steps, in which caches and pools fill up.
 
+    Neighbours are alike: memory stays at a height for a while. So the line goes through the means of blocks, and its
+    uncertainty comes from their scatter, not from that of the single readings, which would promise too much.
+
     Raises:
-        ValueError: fewer than three values are left.
+        ValueError: fewer than twelve values are left.
     """
     import numpy as np
 
     x, y = np.array(steps, dtype=float), np.array(values, dtype=float)
     late = x >= x[0] + settled * (x[-1] - x[0])
     x, y = x[late], y[late]
-    if len(x) < 3:
+    if len(x) < 12:
         raise ValueError(f"{len(x)} readings are too few for a slope")
-    centred = x - x.mean()
-    inclination = float(centred @ y / (centred @ centred))
-    rest = y - y.mean() - inclination * centred
-    u = float(np.sqrt(rest @ rest / (len(x) - 2) / (centred @ centred)))
-    return Slope(1000 * inclination, 1000 * u, float(y[0]), float(y[-1]), int(x[-1]))
+    parts = np.array_split(np.arange(len(x)), min(blocks, len(x) // 3))
+    at, mean = (np.array([part[index].mean() for index in parts]) for part in (x, y))
+    centred = at - at.mean()
+    inclination = float(centred @ mean / (centred @ centred))
+    rest = mean - mean.mean() - inclination * centred
+    u = float(np.sqrt(rest @ rest / (len(at) - 2) / (centred @ centred)))
+    middle = float(mean[len(mean) // 2])
+    return Slope(1000 * inclination, 1000 * u, float(mean[0]), middle, float(mean[-1]), int(x[-1]))

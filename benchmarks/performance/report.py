@@ -9,7 +9,7 @@ from typing import Any
 from performance import speed_tables as speed
 from performance.idle_tables import idle_section
 from performance.prose import flow
-from performance.resource_tables import memory_section, profile_section
+from performance.resource_tables import memory_section, profile_section, soak_section
 
 Part = dict[str, Any]
 
@@ -21,7 +21,7 @@ def write_report(load: Callable[[str], Part | None], out: Path) -> list[Path]:
         load: gives a part's measurements by its name, or None.
         out: folder; made if need be.
     """
-    parts = {name: load(name) for name in ("speed", "memory", "idle", "profile")}
+    parts = {name: load(name) for name in ("speed", "memory", "soak", "idle", "profile")}
     measured = {name: part for name, part in parts.items() if part is not None}
     sections = ["# Performance", "", _head(measured)]
     out.mkdir(parents=True, exist_ok=True)
@@ -31,16 +31,18 @@ def write_report(load: Callable[[str], Part | None], out: Path) -> list[Path]:
         plot = out / "performance.png"
         speed.plot(cases, plot)
         written.append(plot)
-        status = measured["memory"]["results"] if "memory" in measured else None
-        sections += ["", "![Growth](performance.png)", "", speed.targets_section(cases, status)]
-        sections += [speed.methods_section(cases), speed.stages_section(cases), speed.growth_section(cases)]
-    memory = measured["memory"]["results"] if "memory" in measured else None
-    if memory is not None:
-        sections.append(memory_section(memory))
-    if "idle" in measured:
-        sections.append(idle_section(measured["idle"]["results"]))
-    if "profile" in measured:
-        sections.append(profile_section(measured["profile"]["results"]))
+        others = {name: part["results"] for name, part in measured.items()}
+        sections += ["", "![Growth](performance.png)", "", speed.targets_section(cases, others)]
+        sections += [speed.methods_section(cases), speed.stages_section(cases)]
+        sections += [speed.native_section(measured["speed"]["results"]["native"]), speed.growth_section(cases)]
+    for name, section in (
+        ("memory", memory_section),
+        ("soak", soak_section),
+        ("idle", idle_section),
+        ("profile", profile_section),
+    ):
+        if name in measured:
+            sections.append(section(measured[name]["results"]))
     written[0].write_text("\n".join(sections).rstrip() + "\n", encoding="utf-8")
     return written
 

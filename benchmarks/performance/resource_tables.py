@@ -8,22 +8,28 @@ from performance.frames import NAMES
 from performance.prose import flow
 
 MB = 1024.0
+FEWEST = 1000
+"""Readings of which a slope is told: fewer are over before the allocator has come to rest."""
 METHOD_NAMES = {
     "literal": "paper, literal (any number of templates, one after the other)",
     "anchored": "exact, anchored, 300 templates",
     "reading": "sagnode, one frame",
-    "burst": "sagnode, burst of 8",
+    "burst": "sagnode, burst of 8, frames handed over one by one",
 }
 
 
 def memory_section(results: dict[str, Any]) -> str:
-    """Peaks, soaks and ``sagnode status``."""
+    """Peaks."""
     lines = ["## Memory", "", "Peak of resident memory above what was there with libraries and picture loaded, MB:", ""]
     lines += ["| method | " + " | ".join(NAMES) + " |", "|---|" + "---|" * len(NAMES)]
     for method, name in METHOD_NAMES.items():
         rows = (results["methods"][view][method] for view in NAMES)
         lines.append(f"| {name} | " + " | ".join(f"{(r['peak_kb'] - r['before_kb']) / MB:.1f}" for r in rows) + " |")
-    lines += ["", "The real worker process, started by the daemon's own supervisor; frames come from JPEG files:", ""]
+    lines += [
+        "",
+        "The real worker process under the daemon's own supervisor; frames come from JPEG files, one by one:",
+        "",
+    ]
     lines += ["| frames | ready, MB | peak, MB | after, MB |", "|---|---|---|---|"]
     workers = {f"{view}, one a reading": results["worker"][view] for view in NAMES}
     workers["field, burst of 8"] = results["worker_burst"]
@@ -31,29 +37,57 @@ def memory_section(results: dict[str, Any]) -> str:
         f"| {name} | {w['ready_kb'] / MB:.0f} | {w['peak_kb'] / MB:.0f} | {w['after_kb'] / MB:.0f} |"
         for name, w in workers.items()
     ]
-    lines += ["", "Over many readings, slope of resident memory after the first quarter of them:", ""]
-    lines += ["| process | readings | MB at the end | kB more for every 1 000 readings |", "|---|---|---|---|"]
+    lines += [
+        "",
+        flow(
+            """A live camera's frames wait for nobody: a burst of it is held until it is measured, which takes one byte
+            more for every pixel of every further frame."""
+        ),
+    ]
+    return "\n".join([*lines, ""])
+
+
+def soak_section(results: dict[str, Any]) -> str:
+    """Growth over many readings, and ``sagnode status``."""
+    lines = [
+        "## Over many readings",
+        "",
+        flow(
+            """Resident memory, MB, after a first quarter in which caches and pools fill up. The slope is that of a line
+            through the means of twenty blocks of readings, ± its standard uncertainty from their scatter."""
+        ),
+        "",
+        "| process | readings | settled | middle | end | kB more for every 1 000 readings |",
+        "|---|---|---|---|---|---|",
+    ]
     for name, key in (
-        ("daemon with journal and broker (a stand-in measures)", "daemon_soak"),
-        ("worker, laboratory frames", "worker_soak"),
+        ("daemon with journal and broker; a stand-in measures, three conductors", "daemon"),
+        ("worker, laboratory frames", "worker"),
     ):
-        soak = results[key]
-        slope = soak["slope"]
-        lines.append(
-            f"| {name} | {soak['readings']:,} | {slope['last'] / MB:.1f}"
-            f" | {slope['per_thousand']:+.0f} ± {slope['u']:.0f} |"
-        )
+        found = results[key]
+        slope = found["slope"]
+        heights = " | ".join(f"{slope[where] / MB:.2f}" for where in ("settled", "middle", "last"))
+        lines.append(f"| {name} | {found['readings']:,} | {heights} | {_growth(found)} |")
     status = results["status"]
     heavy = ", ".join(status["imported"]) or "neither NumPy nor OpenCV, nor pydantic, APScheduler or paho"
     lines += [
         "",
         flow(
-            f"""`sagnode status` takes {1e3 * status["wall_s"]:.0f} ms of wall time ({1e3 * status["cpu_s"]:.0f} ms CPU;
-            the bare interpreter {1e3 * status["bare_s"]:.0f} ms) and imports {heavy}."""
+            f"""`sagnode status` on the journal that the daemon left takes {1e3 * status["wall_s"]:.0f} ms of wall time,
+            the median of {status["runs"]} ({1e3 * status["cpu_s"]:.0f} ms CPU; the bare interpreter
+            {1e3 * status["bare_s"]:.0f} ms), and imports {heavy}."""
         ),
         "",
     ]
     return "\n".join(lines)
+
+
+def _growth(found: dict[str, Any]) -> str:
+    """A slope, where there were enough readings to tell one."""
+    if found["readings"] < FEWEST:
+        return f"{found['readings']:,} readings are too few to tell"
+    slope = found["slope"]
+    return f"{slope['per_thousand']:+.0f} ± {slope['u']:.0f}"
 
 
 def profile_section(results: dict[str, Any]) -> str:

@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 
+from performance import compiled
 from performance.plan import Plan
 
 CASES = Path(__file__).with_name("cases.py")
@@ -15,7 +16,7 @@ KEPT = ("min", "median", "max", "rounds")
 
 
 def measure(plan: Plan) -> dict[str, Any]:
-    """Every case: what it is, and its CPU seconds."""
+    """Every case: what it is, and its CPU seconds; and what the compiled kernels do for it."""
     raw = plan.folder.parent / "pytest-benchmark.json"
     # a configuration of its own: the tests' limits and plugins are not for benchmarks
     configuration = plan.folder.parent / "pytest.ini"
@@ -26,4 +27,5 @@ def measure(plan: Plan) -> dict[str, Any]:
     if status != 0:
         raise SystemExit(f"a benchmark failed (pytest: {status}); its traceback is above")
     rows = json.loads(raw.read_text(encoding="utf-8"))["benchmarks"]
-    return {"cases": [row["extra_info"] | {k: row["stats"][k] for k in KEPT} for row in rows]}
+    cases = [row["extra_info"] | {k: row["stats"][k] for k in KEPT} for row in rows]
+    return {"cases": cases, "native": compiled.measure(plan)}

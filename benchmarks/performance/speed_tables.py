@@ -61,8 +61,8 @@ class Cases:
         return sum(self.literal(view).values()) / self.matching(view, templates)
 
 
-def targets_section(cases: Cases, memory: dict[str, Any] | None) -> str:
-    """What was asked for beside what was measured."""
+def targets_section(cases: Cases, others: dict[str, dict[str, Any]]) -> str:
+    """What was asked for beside what was measured; ``others``: results of the other parts, as far as they are there."""
     reading, decoding = (1000 * cases.seconds(case, view="field") for case in ("reading", "decoding"))
     one, eight = (cases.seconds("burst", view="tower", frames=n) for n in (1, 8))
     rows: list[tuple[str, str, str, bool]] = []
@@ -83,10 +83,15 @@ def targets_section(cases: Cases, memory: dict[str, Any] | None) -> str:
     at_most("three conductors in one 12-megapixel frame, after decoding", 60, reading, "ms")
     at_most("the same against decoding that frame's JPEG", decoding, reading, "ms")
     at_most("a burst of 8 against one frame", 8, eight / one, "×")
-    if memory is not None:
+    if "memory" in others:
+        memory = others["memory"]
         at_most("worker's peak at 12 megapixels", WORKER_MB, memory["worker"]["field"]["peak_kb"] / 1024, "MB")
-        at_most("daemon", DAEMON_MB, memory["daemon_soak"]["peak_kb"] / 1024, "MB")
-        at_most("`sagnode status`, wall time", STATUS_WALL_S, memory["status"]["wall_s"], "s")
+        burst = memory["worker_burst"]["peak_kb"] / 1024
+        at_most("the same with bursts of 8 from files", WORKER_MB, burst, "MB")
+    if "soak" in others:
+        soak = others["soak"]
+        at_most("daemon's peak", DAEMON_MB, soak["daemon"]["peak_kb"] / 1024, "MB")
+        at_most("`sagnode status`, wall time", STATUS_WALL_S, soak["status"]["wall_s"], "s")
     lines = ["## Targets", "", "| what | wanted | measured | |", "|---|---|---|---|"]
     lines += [f"| {what} | {wanted} | {got} | {'met' if met else '**missed**'} |" for what, wanted, got, met in rows]
     if not all(met for *_, met in rows):
@@ -106,15 +111,14 @@ def _where_the_time_is(cases: Cases) -> str:
     }
     row = cases.one("reading", view="field")
     spent = {name: 1e3 * row["spent"].get(name, 0.0) for name in words}
-    spent["rest"] = 1e3 * row["min"] - sum(spent.values())
+    spent["rest"] = 1e3 * row["staged_s"] - sum(spent.values())
     order = sorted(words, key=lambda name: -spent[name])
     parts = ", ".join(f"{words[name]} {spent[name]:.0f}" for name in order)
     return flow(
-        f"""Where a target is missed: of the {1e3 * row["min"]:.0f} ms of three conductors in a 12-megapixel frame, in
-        ms: {parts}, all else {max(spent["rest"], 0.0):.0f}. The last section says what OpenCV's calls, which read
-        the needed pixels, take by themselves. Most of the rest is NumPy on arrays of some hundreds to thousands of
-        numbers, where calling costs as much as the arithmetic: fewer and larger steps make it less, and compiled code
-        of its own, which this program does without, would take most of it away."""
+        f"""Where a target is missed: of the {1e3 * row["staged_s"]:.0f} ms of three conductors in a 12-megapixel frame,
+        in ms: {parts}, all else {max(spent["rest"], 0.0):.0f}. The last section says what the calls that read the
+        needed pixels take by themselves. Most of the rest is NumPy on arrays of some hundreds to thousands of numbers,
+        where calling costs as much as the arithmetic."""
     )
 
 
@@ -177,8 +181,8 @@ def stages_section(cases: Cases) -> str:
         "## Where a reading's time goes",
         "",
         flow(
-            """All conductors of the site in one frame; CPU ms by stage, parts indented. "refine" measures the wire
-            across the curve, "solve" is the joint estimate."""
+            """All conductors of the site in one frame; CPU ms by stage, parts indented, of the quickest of some runs
+            with a clock on every stage. "refine" measures the wire across the curve, "solve" is the joint estimate."""
         ),
         "",
         "| stage | " + " | ".join(VIEWS[v] for v in NAMES) + " |",
@@ -189,7 +193,7 @@ def stages_section(cases: Cases) -> str:
         name = f"– {stage.name}" if stage.within else stage.name
         cells = (_stage_cell(rows[view], stage.name) for view in NAMES)
         lines.append(f"| {name} | " + " | ".join(cells) + " |")
-    lines.append("| **all** | " + " | ".join(f"**{1e3 * rows[v]['min']:.1f}**" for v in NAMES) + " |")
+    lines.append("| **all** | " + " | ".join(f"**{1e3 * rows[v]['staged_s']:.1f}**" for v in NAMES) + " |")
     for case, words in (("decoding", "decoding the frame's JPEG"), ("site", "site made ready, once")):
         lines.append(f"| {words} | " + " | ".join(f"{1e3 * cases.seconds(case, view=v):.1f}" for v in NAMES) + " |")
     for frames in (1, 8):
@@ -206,6 +210,31 @@ def _stage_cell(row: dict[str, Any], stage: str) -> str:
     return f"{1e3 * row['spent'][stage]:.1f}" + (f" ({calls} ×)" if calls > 1 else "")
 
 
+def native_section(found: dict[str, Any]) -> str:
+    """Compiled kernels beside the same in NumPy."""
+    lines = ["## Compiled kernels", ""]
+    if not found["compiled"]:
+        words = """The compiled kernels were NOT in use: this installation has none (`sagnode.native`), and every number
+            of sagnode on this page is that of its NumPy code."""
+        return "\n".join([*lines, flow(words), ""])
+    lines += [
+        flow(
+            """The inner loops in C (`sagnode.native`) were in use. With `SAGNODE_NATIVE=0` NumPy does the same; here
+            both ways by turns, in processes of their own, on all conductors of one frame."""
+        ),
+        "",
+        "| picture | compiled, CPU ms | NumPy, CPU ms | × | sags apart by at most |",
+        "|---|---|---|---|---|",
+    ]
+    for view in NAMES:
+        row = found["views"][view]
+        lines.append(
+            f"| {VIEWS[view]} | {1e3 * row['with_s']:.1f} | {1e3 * row['without_s']:.1f}"
+            f" | {row['without_s'] / row['with_s']:.1f} | {row['apart']:.2g} of their uncertainty |"
+        )
+    return "\n".join([*lines, ""])
+
+
 def growth_section(cases: Cases) -> str:
     """How the time grows with everything."""
     lines = ["## Growth", "", "| with | values | CPU ms | |", "|---|---|---|---|"]
@@ -213,15 +242,14 @@ def growth_section(cases: Cases) -> str:
         rows = cases.all("own", view=view)
         last, first = rows[-1], rows[0]
         slope = (last["spent"]["search"] - first["spent"]["search"]) / (last["templates"] - first["templates"])
-        lines.append(
-            _growth(f"templates, {VIEWS[view]}", [f"{r['templates']:,}" for r in rows], rows)
-            + f" {1e6 * slope:.1f} µs a template, in the search |"
-        )
+        words = f"{1e6 * slope:.1f} µs a template, in the search" if slope > 0 else "no growth seen in the search"
+        lines.append(_growth(f"templates, {VIEWS[view]}", [f"{r['templates']:,}" for r in rows], rows) + f" {words} |")
     rows = cases.all("frame size")
     sizes = [f"{r['width']}x{r['height']}" for r in rows]
     growth = rows[-1]["min"] / rows[0]["min"]
     pixels = (rows[-1]["width"] / rows[0]["width"]) ** 2
-    lines.append(_growth("frame size, the same view", sizes, rows) + f" {growth:.1f} × for {pixels:.0f} × the pixels |")
+    lines.append(_growth("frame size, the same view", sizes, rows) + f" {growth:.2g} × for {pixels:.0f} × the pixels |")
+    solves = [r["calls"].get("solve", 0) for r in rows]
     rows = cases.all("conductors")
     each = (rows[-1]["min"] - rows[0]["min"]) / (len(rows) - 1)
     lines.append(
@@ -234,6 +262,14 @@ def growth_section(cases: Cases) -> str:
             _growth(f"frames of a burst, {VIEWS[view]}", [str(r["frames"]) for r in rows], rows)
             + f" {growth:.2f} × one frame |"
         )
+    counts = ", ".join(str(count) for count in solves)
+    lines += [
+        "",
+        flow(
+            f"""Only what lies near the curves is read, so the frame's size hardly counts by itself. What counts is how
+            much a picture leaves open: on the three sizes {counts} joint estimates are made."""
+        ),
+    ]
     return "\n".join([*lines, ""])
 
 

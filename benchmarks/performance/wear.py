@@ -13,9 +13,9 @@ from pathlib import Path
 from typing import Any
 
 from performance.frames import shot
-from performance.memory import broker_table, journalled, stand_in_daemon
 from performance.plan import Plan
 from performance.process import written_bytes
+from performance.running import broker_table, journalled, stand_in_daemon
 from sagnode.demo.broker import EmbeddedBroker
 
 CARD_MB = 256

@@ -15,10 +15,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from performance import frames, idle, idle_tables, methods, process, prose, proxy, stages, windows
+from performance import compiled, floor, frames, idle, idle_tables, methods, process, prose, proxy, stages, windows
 from performance import hotspots as profile
+from performance import resource_tables as resources
 from performance import speed_tables as tables
 from performance.packets import Packets
+from sagnode import native
 from sagnode.pipeline import measure_frame
 from sagnode.worker.supervisor import Limits, Supervisor
 
@@ -77,6 +79,38 @@ def test_a_slope_has_an_uncertainty_that_holds_it():
     assert 0 < found.u < 1
     with pytest.raises(ValueError, match="too few"):
         process.slope([1.0, 2.0], [1.0, 2.0])
+
+
+def test_a_slope_takes_neighbours_that_are_alike_for_what_they_are():
+    """A height that wanders promises less than as many independent readings would."""
+    rng = np.random.default_rng(4)
+    x = np.arange(4000.0)
+    wandering = np.repeat(rng.normal(0, 50, 40), 100)
+    found = process.slope(list(x), list(8e4 + wandering))
+    assert found.u > 10 * process.slope(list(x), list(8e4 + rng.permutation(wandering))).u / 3
+    assert abs(found.per_thousand) < 4 * found.u
+
+
+def test_too_few_readings_tell_no_slope():
+    slope = {"per_thousand": 770.0, "u": 797.0, "settled": 8e4, "middle": 8e4, "last": 8e4}
+    found = {"readings": 150, "slope": slope}
+    status = {"runs": 9, "wall_s": 0.06, "cpu_s": 0.06, "bare_s": 0.01, "imported": []}
+    page = resources.soak_section({"daemon": found | {"readings": 10_000}, "worker": found, "status": status})
+    assert "| 10,000 | 78.12 | 78.12 | 78.12 | +770 ± 797 |" in page
+    assert "150 readings are too few to tell" in page
+
+
+def test_the_page_says_whether_the_kernels_were_in_use():
+    row = {"compiled": True, "with_s": 0.02, "without_s": 0.05, "apart": 1e-6}
+    page = tables.native_section({"compiled": True, "views": dict.fromkeys(frames.NAMES, row)})
+    assert "| laboratory, 960x540 | 20.0 | 50.0 | 2.5 | 1e-06 of their uncertainty |" in page
+    assert "were NOT in use" in tables.native_section({"compiled": False, "views": {}})
+
+
+def test_numbers_with_and_without_the_kernels_are_compared():
+    assert compiled.apart({"a": (2.0, 0.1), "b": None}, {"a": (2.01, 0.1), "b": None}) == pytest.approx(0.1)
+    with pytest.raises(RuntimeError, match="different conductors"):
+        compiled.apart({"a": (2.0, 0.1)}, {"a": None})
 
 
 def test_memory_and_processor_time_are_this_processs_own():
@@ -259,7 +293,7 @@ def test_a_missed_target_says_where_the_time_is_the_dearest_first():
     spent = {"register": 0.008, "locate": 0.085, "search": 0.05, "refine": 0.02, "solve": 0.01, "tell": 0.007}
     cases = tables.Cases(
         [
-            {"case": "reading", "view": "field", "min": 0.1, "spent": spent},
+            {"case": "reading", "view": "field", "min": 0.1, "staged_s": 0.1, "spent": spent},
             {"case": "decoding", "view": "field", "min": 0.03},
             *({"case": "burst", "view": "tower", "frames": n, "min": 0.1 * n} for n in (1, 8)),
             *(
@@ -273,7 +307,7 @@ def test_a_missed_target_says_where_the_time_is_the_dearest_first():
             ),
         ]
     )
-    text = tables.targets_section(cases, None)
+    text = tables.targets_section(cases, {})
     assert "of the 100 ms" in text
     assert "the coarse search 50, measuring across the curves 20, the joint estimates 10" in text
     assert "all else 5." in text
@@ -292,6 +326,32 @@ def test_sampled_stacks_are_summed_by_this_programs_functions():
         ("pipeline.measure_frame", pytest.approx(10.0), pytest.approx(100.0)),
     ]
     assert kinds["NumPy's Python"] == pytest.approx(40.0)
+
+
+def test_pixels_under_the_samples_are_counted_once():
+    image = np.arange(200, dtype=np.uint8).reshape(10, 20)
+    u, v = np.array([[2.0, 3.2, 3.4]], np.float32), np.array([[5.0, 5.0, -3.0]], np.float32)
+    nu, nv = np.zeros_like(u), np.ones_like(u)
+    line = np.array([[[0.0]]], np.float32), np.array([[[1.0]]], np.float32)
+    band = np.array([[0.0]], np.float32)
+    # two samples in the frame, each with a pixel on either side of it; the third is outside
+    samples, ((flat, places),) = floor.sampled([((image, u, v, nu, nv, *line, band), {})] * 2)
+    assert samples == 2 * 9
+    assert sorted(flat[places].tolist()) == [82, 83, 102, 103, 122, 123]
+    # and what OpenCV is given
+    samples, ((flat, places),) = floor.sampled([((image, u, v, 1), {})])
+    assert (samples, places.tolist()) == (3, [102, 103])
+
+
+def test_calls_of_the_compiled_functions_are_noted_and_they_are_put_back(tower):
+    if native.kernels is None:
+        pytest.skip("no compiled functions here")
+    with floor.recorded() as (_, compiled):
+        measure_frame(tower.site, tower.image)
+    assert {"response", "response_sums"} <= set(compiled)
+    from sagnode.match import ribbon
+
+    assert ribbon.kernels is native.kernels
 
 
 def test_the_plan_reaches_the_cases(tmp_path):
