@@ -13,12 +13,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from types import ModuleType
+from typing import Any
 
 import numpy as np
 
 from sagnode.geometry.camera import FloatArray, project, projection_derivatives
 from sagnode.geometry.conductor import conductor_derivatives, gravity_direction, load_shapes
 from sagnode.match.robust import median
+from sagnode.native import kernels
 from sagnode.survey import CAMERA, LOAD, SAG, SIZE, SWING, Survey
 
 CORRELATED_PX = 0.03
@@ -36,6 +39,9 @@ SHAPE = slice(10, 18)
 """Attachments, sag and swing among the unknowns."""
 STRIDE = (0.1, np.radians(2.0))
 """Longest steps: of sag, as a share of its surveyed range, and of swing."""
+SWING_MAX = 1.4
+"""Farthest swing that an estimate goes to, rad."""
+_SETTINGS = (CORRELATED_PX, CORRELATED_SHARE, CORRELATION_LENGTH_PX, CAUCHY_CURVE, SETTLED, ANEW)
 SOURCES = {
     "orientation prior": slice(0, 3),
     "camera position": slice(3, 6),
@@ -122,6 +128,11 @@ class CurveObservations:
         """What the terms of an uneven load add to the depth there, over the sag (10, M)."""
         return load_shapes(self.t, LOAD.stop - LOAD.start)
 
+    @cached_property
+    def in_order(self) -> bool:
+        """Whether the offsets follow each other along the curve."""
+        return bool((self.arc[1:] >= self.arc[:-1]).all())
+
 
 @dataclass(frozen=True)
 class Solution:
@@ -136,7 +147,8 @@ class Solution:
         misfit: what was minimised, at its end: residuals and corrections to the prior, each over its variance.
         converged: the last step was smaller than a hundredth of a standard uncertainty.
         jacobian: derivatives of the residuals (M, 28).
-        noise: white (M,) and correlated (M, M) variances of the offsets as weighted, px².
+        white: variance of the offsets by themselves as weighted, px² (M,).
+        curve: the offsets.
         camera: what the landmarks said.
     """
 
@@ -148,8 +160,14 @@ class Solution:
     misfit: float
     converged: bool
     jacobian: FloatArray
-    noise: tuple[FloatArray, FloatArray]
+    white: FloatArray
+    curve: CurveObservations
     camera: CameraKnowledge
+
+    @cached_property
+    def noise(self) -> tuple[FloatArray, FloatArray]:
+        """White (M,) and correlated (M, M) variances of the offsets as weighted, px²."""
+        return self.white, correlated_error(self.curve.arc, self.curve.sigma)
 
     def information(self, survey: Survey) -> dict[str, FloatArray]:
         """The printed budget: the covariance split by source, Σ (P⁻¹ + Σ JᵀC⁻¹J) Σ term by term, each (28, 28)."""
@@ -214,6 +232,10 @@ def curve_residual(survey: Survey, theta: FloatArray, curve: CurveObservations) 
 
 def curve_terms(survey: Survey, theta: FloatArray, curve: CurveObservations) -> tuple[FloatArray, FloatArray]:
     """Residuals (M,) of the offsets across the curve, and the curve's derivatives there by θ (M, 28)."""
+    if kernels is not None:
+        residual, jacobian = np.empty(len(curve.t)), np.empty((len(curve.t), SIZE))
+        kernels.curve_terms(*_words(survey, theta, curve), len(survey.unknowns()), residual, jacobian)
+        return residual, jacobian
     intrinsics, pose = survey.camera(theta)
     shape = survey.shape(theta)
     own = (shape.near, shape.far, float(theta[SAG]), float(theta[SWING]))
@@ -271,24 +293,85 @@ def solve(
     nothing changes.
     """
     free = survey.unknowns()
-    sigma0, mean0 = survey.prior_sigma(), survey.prior_mean()
+    sigma0 = survey.prior_sigma()
     known = np.diag(1 / sigma0**2)
     known[CAMERA, CAMERA] += camera.precision
-    target = mean0 / sigma0**2
+    target = survey.prior_mean() / sigma0**2
     target[CAMERA] += camera.vector
-    known_free, target_free = known[np.ix_(free, free)], target[free]
     # a step farther than the prior allows is a sign of a wrong wire or a wrong survey: walk, don't jump. What hangs in
     # a plane through the camera shows hardly any sag, and its picture stays linear over short steps only
     longest = 3 * sigma0[free]
     longest[SAG] = STRIDE[0] * (survey.sag_range[1] - survey.sag_range[0])
     longest[SWING] = min(longest[SWING], STRIDE[1])
+    question = _Question(survey, start, camera, curve, known, target, longest, iterations)
+    return _solve_compiled(kernels, question) if kernels is not None and curve.in_order else _solve(question)
+
+
+@dataclass(frozen=True)
+class _Question:
+    """What is to be solved: the arguments of :func:`solve`, the prior, and the longest steps."""
+
+    survey: Survey
+    start: FloatArray
+    camera: CameraKnowledge
+    curve: CurveObservations
+    known: FloatArray
+    """What is known before looking at the curve: inverse covariance (28, 28),"""
+    target: FloatArray
+    """and that times θ where it would be alone (28,)."""
+    longest: FloatArray
+    iterations: int
+
+    @property
+    def bounds(self) -> tuple[float, float, float, float]:
+        """Least and greatest sag and swing."""
+        low, high = self.survey.sag_range
+        return 0.2 * low, 2 * high, -SWING_MAX, SWING_MAX
+
+
+def _solve_compiled(compiled: ModuleType, asked: _Question) -> Solution:
+    """:func:`_solve`, where the offsets follow each other along the curve."""
+    curve, theta = asked.curve, asked.start.astype(np.float64)
+    own = (*_words(asked.survey, theta, curve), len(asked.longest), curve.arc, curve.sigma)
+    own = (*own, asked.known, asked.target, asked.longest, np.array([*_SETTINGS, *asked.bounds]), asked.iterations)
+    covariance, jacobian = np.empty((SIZE, SIZE)), np.empty((len(curve.t), SIZE))
+    residual, weight, noise = np.empty((3, len(curve.t)))
+    inflation, misfit, converged = compiled.solve(*own, covariance, residual, weight, noise, jacobian)
+    return Solution(
+        theta=theta,
+        covariance=covariance,
+        residual=residual,
+        weight=weight,
+        inflation=inflation,
+        misfit=misfit,
+        converged=bool(converged),
+        jacobian=jacobian,
+        white=noise,
+        curve=curve,
+        camera=asked.camera,
+    )
+
+
+def _words(survey: Survey, theta: FloatArray, curve: CurveObservations) -> tuple[Any, ...]:
+    """Survey, θ and offsets, as compiled functions take them."""
+    pose = survey.pose
+    places = (pose.rotation, pose.position, survey.near, survey.far)
+    own = (survey.intrinsics.packed, *(np.asarray(part, dtype=np.float64) for part in places))
+    return (*own, theta, curve.t, curve.normal, curve.measured)
+
+
+def _solve(asked: _Question) -> Solution:
+    survey, curve, known, target = asked.survey, asked.curve, asked.known, asked.target
+    free = survey.unknowns()
+    known_free, target_free = known[np.ix_(free, free)], target[free]
+    sag_low, sag_high, swing_low, swing_high = asked.bounds
     white, correlated = curve.sigma**2, correlated_error(curve.arc, curve.sigma)
     diagonal = np.diag_indices_from(correlated)
     shared = correlated[diagonal]
     expected = white + shared
-    theta, converged, inflation = start.copy(), False, 1.0
+    theta, converged, inflation = asked.start.copy(), False, 1.0
     residual, jacobian = curve_terms(survey, theta, curve)
-    for step_number in range(iterations):
+    for step_number in range(asked.iterations):
         spread = max(1.4826 * median(np.abs(residual)), 1e-3) if step_number < 2 else 0.0
         weight = _robust(residual**2 / (expected + spread**2), CAUCHY_CURVE)
         noise = white / np.maximum(weight, 1e-6)
@@ -298,9 +381,9 @@ def solve(
         together[diagonal] += noise
         gain = np.linalg.solve(together, np.column_stack([own, residual])).T @ own / inflation
         step, posterior = _scaled_solve(known_free + gain[:-1], target_free - known_free @ theta[free] + gain[-1])
-        theta[free] += step / max(1.0, float(np.max(np.abs(step) / longest)))
-        theta[SAG] = min(max(theta[SAG], 0.2 * survey.sag_range[0]), 2 * survey.sag_range[1])
-        theta[SWING] = min(max(theta[SWING], -1.4), 1.4)
+        theta[free] += step / max(1.0, float(np.max(np.abs(step) / asked.longest)))
+        theta[SAG] = min(max(theta[SAG], sag_low), sag_high)
+        theta[SWING] = min(max(theta[SWING], swing_low), swing_high)
         length = _length(step, posterior)
         if length > ANEW:
             residual, jacobian = curve_terms(survey, theta, curve)
@@ -320,8 +403,9 @@ def solve(
         misfit=_misfit(residual, noise, correlated, theta, known, target),
         converged=converged,
         jacobian=jacobian,
-        noise=(noise, correlated),
-        camera=camera,
+        white=noise,
+        curve=curve,
+        camera=asked.camera,
     )
 
 

@@ -150,3 +150,54 @@ def curve_track(
     They begin t, depth and along, the length there (N,), pixels and normal (N, 2): what
     :func:`sagnode.match.refine.trace` makes of them.
     """
+
+def curve_terms(
+    lens: Array,
+    rotation: Array,
+    position: Array,
+    near: Array,
+    far: Array,
+    theta: Array,
+    t: Array,
+    normal: Array,
+    measured: Array,
+    free: int,
+    residual: Array,
+    jacobian: Array,
+) -> None:
+    """:func:`sagnode.estimate.joint.curve_terms` into residual (M,) and jacobian (M, 28).
+
+    Camera and conductor are those of the survey; theta (28,), t, normal and measured are without gaps; free is how many
+    of theta are unknown, 18 or 28.
+    """
+
+def solve(
+    lens: Array,
+    rotation: Array,
+    position: Array,
+    near: Array,
+    far: Array,
+    theta: Array,
+    t: Array,
+    normal: Array,
+    measured: Array,
+    free: int,
+    arc: Array,
+    sigma: Array,
+    known: Array,
+    target: Array,
+    longest: Array,
+    settings: Array,
+    iterations: int,
+    covariance: Array,
+    residual: Array,
+    weight: Array,
+    noise: Array,
+    jacobian: Array,
+) -> tuple[float, float, int]:
+    """:func:`sagnode.estimate.joint.solve` from theta, which it moves; inflation, misfit, and whether it converged.
+
+    arc rises; known (28, 28), target (28,) and longest (free,) are the prior and the longest steps there; settings are
+    its constants, and bounds of sag and swing. Results go into theta, covariance (28, 28), residual, weight, noise (M,)
+    and jacobian (M, 28).
+    """

@@ -1,0 +1,507 @@
+/* The joint estimate of camera and conductor: see sagnode.estimate.joint, which says what it means and does the same in
+   NumPy. There the offsets' covariance is a matrix. Here the error that neighbours share, which falls off exponentially
+   with their distance along the curve, is what it is then: a first-order Markov process, whose states a scalar Kalman
+   filter follows from one offset to the next. Its normalised innovations are the whitened rows. */
+#include "geometry.h"
+#include <stdlib.h>
+#include <string.h>
+
+/* The unknowns, as sagnode.survey has them. */
+enum { CAMERA = 10, NEAR = 10, FAR = 13, SAG = 16, SWING = 17, LOAD = 18, TERMS = 10, SIZE = LOAD + TERMS };
+/* What sagnode.estimate.joint hands over of its constants and limits, in this order. */
+enum { LEAST_SHARED, SHARE, REACH_PX, CAUCHY, SETTLED, ANEW, SAG_LOW, SAG_HIGH, SWING_LOW, SWING_HIGH, SETTINGS };
+
+/* Camera and conductor as they are surveyed. */
+typedef struct {
+    camera at;
+    double near[3], far[3];
+    int free; /* how many of the unknowns are unknown: without terms of the load or with them */
+} survey;
+
+typedef struct {
+    Py_ssize_t count;
+    const double *t, *arc, *normal, *measured, *sigma;
+} offsets;
+
+/* Rodrigues' formula: a rotation after a small one. */
+static void turn(const double v[3], const double before[9], double out[9])
+{
+    double x = v[0], y = v[1], z = v[2], angle = sqrt(x * x + y * y + z * z), a = 1.0, b = 1.0;
+    if (angle > 1e-12) {
+        a = sin(angle) / angle;
+        b = (1 - cos(angle)) / (angle * angle);
+    }
+    const double own[9] = {1 - b * (y * y + z * z), b * x * y - a * z,         b * x * z + a * y,
+                           b * x * y + a * z,       1 - b * (x * x + z * z),   b * y * z - a * x,
+                           b * x * z - a * y,       b * y * z + a * x,         1 - b * (x * x + y * y)};
+    for (int i = 0; i < 3; i++)
+        for (int j = 0; j < 3; j++)
+            out[3 * i + j] = own[3 * i] * before[j] + own[3 * i + 1] * before[3 + j] + own[3 * i + 2] * before[6 + j];
+}
+
+static void camera_at(const survey *of, const double *theta, camera *out)
+{
+    *out = of->at;
+    turn(theta, of->at.rotation, out->rotation);
+    for (int k = 0; k < 3; k++)
+        out->position[k] += theta[3 + k];
+    double scale = 1 + theta[6];
+    out->fx *= scale;
+    out->fy *= scale;
+    out->cx += theta[7];
+    out->cy += theta[8];
+    if (theta[9] != 0.0 && !out->fisheye) {
+        out->k[0] += theta[9];
+        out->distorted = 0;
+        for (int k = 0; k < 8; k++)
+            out->distorted |= out->k[k] != 0.0;
+    }
+}
+
+static void conductor_at(const survey *of, const double *theta, conductor *out)
+{
+    double near[3], far[3];
+    for (int k = 0; k < 3; k++) {
+        near[k] = of->near[k] + theta[NEAR + k];
+        far[k] = of->far[k] + theta[FAR + k];
+    }
+    memset(&out->load, 0, sizeof out->load);
+    out->load.at = (char *)(theta + LOAD);
+    out->load.shape[0] = of->free > LOAD ? TERMS : 0;
+    out->load.step[0] = sizeof *theta;
+    hang(out, near, far, theta[SAG], theta[SWING]);
+}
+
+/* How a pixel moves with its place: in the camera's frame, and what of the lens that takes. */
+typedef struct {
+    double own[3], by_own[2][3];
+    double x, y, xd, yd;
+} movement;
+
+static movement moves(const camera *at, const double place[3])
+{
+    const double step = 1e-6, focal[2] = {at->fx, at->fy};
+    movement m;
+    seen_from(at, place, m.own);
+    double z = m.own[2], ax, ay, bx, by;
+    double x = m.x = m.own[0] / z, y = m.y = m.own[1] / z;
+    if (at->distorted) {
+        distorted(at, x, y, &m.xd, &m.yd);
+        distorted(at, x + step, y, &ax, &ay);
+        distorted(at, x, y + step, &bx, &by);
+    } else {
+        m.xd = x;
+        m.yd = y;
+        ax = x + step;
+        ay = y;
+        bx = x;
+        by = y + step;
+    }
+    const double by_x[2] = {(ax - m.xd) / step, (ay - m.yd) / step};
+    const double by_y[2] = {(bx - m.xd) / step, (by - m.yd) / step};
+    for (int row = 0; row < 2; row++) {
+        double dx = focal[row] * by_x[row], dy = focal[row] * by_y[row];
+        m.by_own[row][0] = dx / z;
+        m.by_own[row][1] = dy / z;
+        m.by_own[row][2] = -(dx * x + dy * y) / z;
+    }
+    return m;
+}
+
+/* Derivatives of a pixel's coordinate along a direction: by its place (3,), and by the camera's unknowns (10,). */
+static void slopes(const camera *at, const movement *m, const double along[2], double by_place[3], double *by_camera)
+{
+    double by_own[3];
+    for (int k = 0; k < 3; k++)
+        by_own[k] = along[0] * m->by_own[0][k] + along[1] * m->by_own[1][k];
+    for (int k = 0; k < 3; k++) {
+        const double *r = at->rotation + k;
+        by_place[k] = by_own[0] * r[0] + by_own[1] * r[3] + by_own[2] * r[6];
+    }
+    for (int i = 0; i < 3; i++) {
+        int j = (i + 1) % 3, k = (i + 2) % 3;
+        by_camera[i] = m->own[j] * by_own[k] - m->own[k] * by_own[j];
+        by_camera[3 + i] = -by_place[i];
+    }
+    by_camera[6] = along[0] * at->fx * m->xd + along[1] * at->fy * m->yd;
+    by_camera[7] = along[0];
+    by_camera[8] = along[1];
+    double r2 = m->x * m->x + m->y * m->y;
+    by_camera[9] = at->fisheye ? 0.0 : along[0] * at->fx * m->x * r2 + along[1] * at->fy * m->y * r2;
+}
+
+/* How a conductor's direction of gravity turns with its chord, and where its points go when it swings. */
+static void turning(const conductor *of, double swing, double turn[9], double aside[3])
+{
+    const double *c = of->chord;
+    double length = sqrt(c[0] * c[0] + c[1] * c[1] + c[2] * c[2]), unit[3], raw[9], project[9];
+    double cosine = cos(swing) - 1, sine = sin(swing), along = 0.0;
+    for (int k = 0; k < 3; k++)
+        unit[k] = c[k] / length;
+    for (int k = 0; k < 9; k++) {
+        int i = k / 3, j = k % 3;
+        double same = i == j ? 1.0 : 0.0, down = j == 2 ? -1.0 : 0.0;
+        raw[k] = cosine * (unit[2] * same - unit[i] * down);
+        project[k] = (same - unit[i] * unit[j]) / length;
+    }
+    raw[1] += sine;
+    raw[3] -= sine;
+    for (int i = 0; i < 3; i++)
+        for (int j = 0; j < 3; j++)
+            turn[3 * i + j] =
+                raw[3 * i] * project[j] + raw[3 * i + 1] * project[3 + j] + raw[3 * i + 2] * project[6 + j];
+    gravity(c, swing + 0.5 * 3.14159265358979323846, aside);
+    for (int k = 0; k < 3; k++)
+        along += aside[k] * unit[k];
+    for (int k = 0; k < 3; k++)
+        aside[k] -= along * unit[k];
+}
+
+static double across(const offsets *seen, Py_ssize_t k, const double pixel[2])
+{
+    const double *measured = seen->measured + 2 * k, *normal = seen->normal + 2 * k;
+    return (measured[0] - pixel[0]) * normal[0] + (measured[1] - pixel[1]) * normal[1];
+}
+
+/* Residuals of the offsets and, if wanted, the curve's derivatives there (count, SIZE). */
+static void terms(const survey *of, const double *theta, const offsets *seen, double *residual, double *jacobian)
+{
+    camera at;
+    conductor wire;
+    double turn[9], aside[3];
+    camera_at(of, theta, &at);
+    conductor_at(of, theta, &wire);
+    turning(&wire, theta[SWING], turn, aside);
+    for (Py_ssize_t n = 0; n < seen->count; n++) {
+        double t = seen->t[n], place[3], pixel[2], by_place[3], turned[3], down = 0.0, swung = 0.0;
+        double even = even_depth(&wire, t), depth = even + wire.sag * uneven(&wire.load, t);
+        for (int k = 0; k < 3; k++)
+            place[k] = wire.near[k] + t * wire.chord[k] + depth * wire.down[k];
+        pictured(&at, place, pixel);
+        residual[n] = across(seen, n, pixel);
+        if (jacobian == NULL)
+            continue;
+        double *row = jacobian + n * SIZE, departure = even - wire.sag * 4 * t * (1 - t);
+        movement m = moves(&at, place);
+        slopes(&at, &m, seen->normal + 2 * n, by_place, row);
+        for (int k = 0; k < 3; k++) {
+            turned[k] = depth * (by_place[0] * turn[k] + by_place[1] * turn[3 + k] + by_place[2] * turn[6 + k]);
+            row[NEAR + k] = (1 - t) * by_place[k] - turned[k];
+            row[FAR + k] = t * by_place[k] + turned[k];
+            down += by_place[k] * wire.down[k];
+            swung += by_place[k] * aside[k];
+        }
+        row[SAG] = (depth + 2 * departure) / wire.sag * down;
+        row[SWING] = depth * swung;
+        shapes each = first_shape(t);
+        for (int k = 0; k < TERMS; k++)
+            row[LOAD + k] = wire.sag * down * next_shape(&each, k + 1);
+    }
+}
+
+static int rising(const void *a, const void *b)
+{
+    double x = *(const double *)a, y = *(const double *)b;
+    return (x > y) - (x < y);
+}
+
+/* NaN where any of the values is. */
+static double median_of_absolutes(const double *values, Py_ssize_t count, double *room)
+{
+    for (Py_ssize_t k = 0; k < count; k++) {
+        if (isnan(values[k]))
+            return NAN;
+        room[k] = fabs(values[k]);
+    }
+    qsort(room, (size_t)count, sizeof *room, rising);
+    return count % 2 ? room[count / 2] : 0.5 * (room[count / 2 - 1] + room[count / 2]);
+}
+
+static inline double least(double value, double bound) { return value < bound ? bound : value; }
+
+/* Sums of products of the columns of the whitened rows, derivatives first and the residual last, into the upper half of
+   (width + 1, width + 1). */
+static void weigh(const offsets *seen, const double *settings, const double *noise, const double *shared,
+                  const double *jacobian, int width, const double *residual, double *sums)
+{
+    double state[SIZE + 1] = {0}, row[SIZE + 1], variance = 1.0;
+    int columns = width + 1;
+    memset(sums, 0, (size_t)(columns * columns) * sizeof *sums);
+    for (Py_ssize_t n = 0; n < seen->count; n++) {
+        double kept = n ? exp(-(seen->arc[n] - seen->arc[n - 1]) / settings[REACH_PX]) : 0.0, own = sqrt(shared[n]);
+        double before = kept * kept * variance + (1 - kept * kept);
+        double total = shared[n] * before + noise[n], gain = own * before / total, shorten = 1 / sqrt(total);
+        for (int k = 0; k < columns; k++) {
+            double value = k < width ? jacobian[n * SIZE + k] : residual[n];
+            double foreseen = kept * state[k], surprise = value - own * foreseen;
+            state[k] = foreseen + gain * surprise;
+            row[k] = surprise * shorten;
+        }
+        variance = before * noise[n] / total;
+        for (int i = 0; i < columns; i++) {
+            double *of = sums + i * columns, factor = row[i];
+            for (int j = i; j < columns; j++)
+                of[j] += factor * row[j];
+        }
+    }
+}
+
+/* Solution of a normal equation whose unknowns have very different sizes, and the inverse of its matrix; both are
+   symmetric, in full, `width` wide. NaN where it has none. */
+static void solve_scaled(const double *matrix, const double *vector, int width, double *step, double *inverse)
+{
+    double scale[SIZE], factor[SIZE * SIZE], below[SIZE * SIZE];
+    for (int i = 0; i < width; i++)
+        scale[i] = 1 / sqrt(matrix[i * width + i]);
+    /* Cholesky's factor, and its inverse */
+    for (int i = 0; i < width; i++) {
+        for (int j = 0; j <= i; j++) {
+            double sum = matrix[i * width + j] * (scale[i] * scale[j]) + (i == j ? 1e-9 : 0.0);
+            for (int k = 0; k < j; k++)
+                sum -= factor[i * width + k] * factor[j * width + k];
+            factor[i * width + j] = i == j ? sqrt(sum) : sum / factor[j * width + j];
+        }
+        for (int j = 0; j <= i; j++) {
+            double sum = i == j ? 1.0 : 0.0;
+            for (int k = j; k < i; k++)
+                sum -= factor[i * width + k] * below[k * width + j];
+            below[i * width + j] = sum / factor[i * width + i];
+        }
+    }
+    for (int i = 0; i < width; i++)
+        for (int j = 0; j <= i; j++) {
+            double sum = 0.0;
+            for (int k = i; k < width; k++)
+                sum += below[k * width + i] * below[k * width + j];
+            inverse[i * width + j] = inverse[j * width + i] = sum * (scale[i] * scale[j]);
+        }
+    for (int i = 0; i < width; i++) {
+        step[i] = 0.0;
+        for (int j = 0; j < width; j++)
+            step[i] += inverse[i * width + j] * vector[j];
+    }
+}
+
+/* Greatest part of a step in standard uncertainties. */
+static double length_of(const double *step, const double *covariance, int width)
+{
+    double most = 0.0;
+    for (int k = 0; k < width; k++) {
+        double own = fabs(step[k]) / sqrt(covariance[k * width + k]);
+        if (isnan(own))
+            return own;
+        most = own > most ? own : most;
+    }
+    return most;
+}
+
+static double bounded(double value, double low, double high)
+{
+    /* NaN stays */
+    value = low > value ? low : value;
+    return high < value ? high : value;
+}
+
+/* What is asked of an estimate, and what it answers. */
+typedef struct {
+    survey of;
+    offsets seen;
+    const double *known, *target, *longest, *settings;
+    int iterations;
+    double *theta, *covariance, *residual, *weight, *noise, *jacobian;
+    double inflation, misfit;
+    int converged;
+} estimate;
+
+static void weights(estimate *e, const double *shared, double spread)
+{
+    double limit2 = e->settings[CAUCHY] * e->settings[CAUCHY], sum = 0.0, chi2 = 0.0;
+    for (Py_ssize_t n = 0; n < e->seen.count; n++) {
+        double white = e->seen.sigma[n] * e->seen.sigma[n], squared = e->residual[n] * e->residual[n];
+        double weight = 1.0 / (1.0 + squared / (white + shared[n] + spread * spread) / limit2);
+        e->weight[n] = weight;
+        e->noise[n] = white / least(weight, 1e-6);
+        sum += weight;
+        chi2 += weight * squared / least(e->noise[n] + shared[n], 1e-12);
+    }
+    double ratio = chi2 / least(sum - 4.0, 1.0);
+    e->inflation = ratio > 1.0 ? ratio : 1.0;
+}
+
+/* One step; its length in standard uncertainties. */
+static double advance(estimate *e, const double *shared, double *posterior)
+{
+    int width = e->of.free;
+    double sums[(SIZE + 1) * (SIZE + 1)], matrix[SIZE * SIZE], vector[SIZE], step[SIZE], ratio = 1.0;
+    weigh(&e->seen, e->settings, e->noise, shared, e->jacobian, width, e->residual, sums);
+    for (int i = 0; i < width; i++) {
+        vector[i] = e->target[i] + sums[i * (width + 1) + width] / e->inflation;
+        for (int j = 0; j < width; j++) {
+            int upper = i < j ? i * (width + 1) + j : j * (width + 1) + i;
+            matrix[i * width + j] = e->known[i * SIZE + j] + sums[upper] / e->inflation;
+            vector[i] -= e->known[i * SIZE + j] * e->theta[j];
+        }
+    }
+    solve_scaled(matrix, vector, width, step, posterior);
+    for (int k = 0; k < width; k++) {
+        double far = fabs(step[k]) / e->longest[k];
+        ratio = far > ratio ? far : ratio;
+    }
+    for (int k = 0; k < width; k++)
+        e->theta[k] += step[k] / ratio;
+    e->theta[SAG] = bounded(e->theta[SAG], e->settings[SAG_LOW], e->settings[SAG_HIGH]);
+    e->theta[SWING] = bounded(e->theta[SWING], e->settings[SWING_LOW], e->settings[SWING_HIGH]);
+    return length_of(step, posterior, width);
+}
+
+/* `room` holds twice as many numbers as there are offsets. */
+static void settle(estimate *e, double *room)
+{
+    double *shared = room + e->seen.count, posterior[SIZE * SIZE], sums[1];
+    int width = e->of.free;
+    for (Py_ssize_t n = 0; n < e->seen.count; n++) {
+        double own = hypot(e->settings[LEAST_SHARED], e->settings[SHARE] * e->seen.sigma[n]);
+        shared[n] = own * own;
+    }
+    terms(&e->of, e->theta, &e->seen, e->residual, e->jacobian);
+    for (int k = 0; k < e->iterations && !e->converged; k++) {
+        double spread = k < 2 ? least(1.4826 * median_of_absolutes(e->residual, e->seen.count, room), 1e-3) : 0.0;
+        weights(e, shared, spread);
+        double length = advance(e, shared, posterior);
+        terms(&e->of, e->theta, &e->seen, e->residual, length > e->settings[ANEW] ? e->jacobian : NULL);
+        e->converged = k >= 2 && length < e->settings[SETTLED];
+    }
+    memset(e->covariance, 0, SIZE * SIZE * sizeof *e->covariance);
+    for (int i = 0; i < width; i++)
+        for (int j = 0; j < width; j++)
+            e->covariance[i * SIZE + j] = posterior[i * width + j];
+    weigh(&e->seen, e->settings, e->noise, shared, e->jacobian, 0, e->residual, sums);
+    e->misfit = sums[0];
+    for (int i = 0; i < SIZE; i++) {
+        double pull = 0.0;
+        for (int j = 0; j < SIZE; j++)
+            pull += e->known[i * SIZE + j] * e->theta[j];
+        e->misfit += e->theta[i] * (pull - 2 * e->target[i]);
+    }
+}
+
+/* The first arguments of both functions: lens, rotation, position, near, far, theta, t, normal, measured. */
+enum { ASKED = 9 };
+
+static int ask(arrays *all, PyObject *const *words, int written, survey *of, array *theta, offsets *seen)
+{
+    array near, far, t, normal, measured;
+    if (take_camera(all, words, &of->at) < 0 || take(all, words[3], "near", 'd', 1, 0, 0, &near) < 0 ||
+        take(all, words[4], "far", 'd', 1, 0, 0, &far) < 0 ||
+        take(all, words[5], "theta", 'd', 1, 1, written, theta) < 0 || take(all, words[6], "t", 'd', 1, 1, 0, &t) < 0 ||
+        take(all, words[7], "normal", 'd', 2, 1, 0, &normal) < 0 ||
+        take(all, words[8], "measured", 'd', 2, 1, 0, &measured) < 0 ||
+        require(near.shape[0] == 3 && far.shape[0] == 3 && theta->shape[0] == SIZE,
+                "near, far or theta of a wrong size") < 0 ||
+        require(normal.shape[0] == t.shape[0] && normal.shape[1] == 2 && measured.shape[0] == t.shape[0] &&
+                    measured.shape[1] == 2,
+                "normal and measured do not fit t") < 0)
+        return -1;
+    for (int k = 0; k < 3; k++) {
+        of->near[k] = number(&near, k);
+        of->far[k] = number(&far, k);
+    }
+    *seen = (offsets){t.shape[0], (const double *)t.at, NULL, (const double *)normal.at, (const double *)measured.at,
+                      NULL};
+    return 0;
+}
+
+/* How many are unknown, from an argument: all, or all but the terms of the load. */
+static int take_free(PyObject *object, int *out)
+{
+    long free = PyLong_AsLong(object);
+    if (free == -1 && PyErr_Occurred())
+        return -1;
+    *out = (int)free;
+    return require(free == SIZE || free == LOAD, "free must be 18 or 28");
+}
+
+PyObject *curve_terms(PyObject *module, PyObject *const *words, Py_ssize_t count)
+{
+    arrays all = {0};
+    survey of;
+    offsets seen;
+    array theta, residual, jacobian;
+    (void)module;
+    if (require(count == ASKED + 3, "curve_terms takes twelve arguments") < 0)
+        return NULL;
+    if (ask(&all, words, 0, &of, &theta, &seen) < 0 || take_free(words[ASKED], &of.free) < 0 ||
+        take(&all, words[ASKED + 1], "residual", 'd', 1, 1, 1, &residual) < 0 ||
+        take(&all, words[ASKED + 2], "jacobian", 'd', 2, 1, 1, &jacobian) < 0 ||
+        require(residual.shape[0] == seen.count && jacobian.shape[0] == seen.count && jacobian.shape[1] == SIZE,
+                "residual and jacobian do not fit t") < 0) {
+        release(&all);
+        return NULL;
+    }
+    terms(&of, (const double *)theta.at, &seen, (double *)residual.at, (double *)jacobian.at);
+    release(&all);
+    Py_RETURN_NONE;
+}
+
+PyObject *solve(PyObject *module, PyObject *const *words, Py_ssize_t count)
+{
+    arrays all = {0};
+    estimate e = {0};
+    array theta, arc, sigma, known, target, longest, settings, covariance, residual, weight, noise, jacobian;
+    double iterations;
+    (void)module;
+    if (require(count == ASKED + 13, "solve takes 22 arguments") < 0)
+        return NULL;
+    PyObject *const *more = words + ASKED;
+    if (ask(&all, words, 1, &e.of, &theta, &e.seen) < 0 || take_free(more[0], &e.of.free) < 0 ||
+        take(&all, more[1], "arc", 'd', 1, 1, 0, &arc) < 0 || take(&all, more[2], "sigma", 'd', 1, 1, 0, &sigma) < 0 ||
+        take(&all, more[3], "known", 'd', 2, 1, 0, &known) < 0 ||
+        take(&all, more[4], "target", 'd', 1, 1, 0, &target) < 0 ||
+        take(&all, more[5], "longest", 'd', 1, 1, 0, &longest) < 0 ||
+        take(&all, more[6], "settings", 'd', 1, 1, 0, &settings) < 0 || take_number(more[7], &iterations) < 0 ||
+        take(&all, more[8], "covariance", 'd', 2, 1, 1, &covariance) < 0 ||
+        take(&all, more[9], "residual", 'd', 1, 1, 1, &residual) < 0 ||
+        take(&all, more[10], "weight", 'd', 1, 1, 1, &weight) < 0 ||
+        take(&all, more[11], "noise", 'd', 1, 1, 1, &noise) < 0 ||
+        take(&all, more[12], "jacobian", 'd', 2, 1, 1, &jacobian) < 0)
+        goto refused;
+    const array *each[] = {&arc, &sigma, &residual, &weight, &noise, &jacobian};
+    for (int k = 0; k < 6; k++)
+        if (require(each[k]->shape[0] == e.seen.count && e.seen.count > 0, "an array of a wrong length") < 0)
+            goto refused;
+    if (require(known.shape[0] == SIZE && known.shape[1] == SIZE && target.shape[0] == SIZE &&
+                    longest.shape[0] == e.of.free && settings.shape[0] == SETTINGS && covariance.shape[0] == SIZE &&
+                    covariance.shape[1] == SIZE && jacobian.shape[1] == SIZE,
+                "known, target, longest, settings, covariance or jacobian of a wrong size") < 0 ||
+        require(iterations >= 1 && iterations <= 10000, "iterations: 1 to 10000 are wanted") < 0)
+        goto refused;
+    const double *along = (const double *)arc.at;
+    for (Py_ssize_t n = 1; n < e.seen.count; n++)
+        if (require(along[n] >= along[n - 1], "arc does not rise") < 0)
+            goto refused;
+    double *room = malloc(2 * (size_t)e.seen.count * sizeof *room);
+    if (room == NULL) {
+        PyErr_NoMemory();
+        goto refused;
+    }
+    e.seen.arc = along;
+    e.seen.sigma = (const double *)sigma.at;
+    e.known = (const double *)known.at;
+    e.target = (const double *)target.at;
+    e.longest = (const double *)longest.at;
+    e.settings = (const double *)settings.at;
+    e.iterations = (int)iterations;
+    e.theta = (double *)theta.at;
+    e.covariance = (double *)covariance.at;
+    e.residual = (double *)residual.at;
+    e.weight = (double *)weight.at;
+    e.noise = (double *)noise.at;
+    e.jacobian = (double *)jacobian.at;
+    settle(&e, room);
+    free(room);
+    release(&all);
+    return Py_BuildValue("ddi", e.inflation, e.misfit, e.converged);
+refused:
+    release(&all);
+    return NULL;
+}

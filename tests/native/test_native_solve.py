@@ -1,0 +1,160 @@
+"""The compiled joint estimate against the one in NumPy, which says what it means."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from sagnode.estimate import joint
+from sagnode.estimate.joint import CameraKnowledge, CurveObservations, curve_terms, curve_uncertainty, solve
+from sagnode.geometry.camera import Intrinsics, Pose, project, rotation_from_angles
+from sagnode.native import kernels
+from sagnode.survey import SAG, SIZE, SWING, Survey
+
+pytestmark = pytest.mark.skipif(kernels is None, reason="the extension was not built here")
+
+LENSES = {
+    "perfect": Intrinsics(1456, 1088, 1200.0, 1210.0, 730.0, 540.0),
+    "pinhole": Intrinsics(1456, 1088, 1200.0, 1210.0, 730.0, 540.0, (-0.12, 0.05, 1e-4, -2e-4, 0.01)),
+    "rational": Intrinsics(1456, 1088, 900.0, 905.0, 730.0, 540.0, (0.3, 0.05, 1e-4, -2e-4, 0.01, 0.4, 0.1, 0.02)),
+    "fisheye": Intrinsics(1456, 1088, 500.0, 502.0, 730.0, 540.0, (0.02, -0.01, 0.003, -0.001), "fisheye"),
+}
+
+
+def question(seed, lens="pinhole", count=None):
+    """A survey, a start, what landmarks say, and offsets about a curve that is nearly right, some of them wild."""
+    rng = np.random.default_rng(seed)
+    near, far = np.array([rng.uniform(-5, 5), 12.0, 30.0]), np.array([0.0, rng.uniform(60, 400), rng.uniform(20, 40)])
+    place = np.array([rng.uniform(-8, 8), -5.0, rng.uniform(5, 32)])
+    pose = Pose(rotation_from_angles(rng.uniform(-8, 8), rng.uniform(-3, 3), rng.normal(0, 3)), place)
+    length = far[1] - near[1]
+    survey = Survey(
+        LENSES[lens],
+        pose,
+        near,
+        far,
+        orientation_u=0.003,
+        position_u=0.02,
+        focal_u_rel=0.002,
+        principal_point_u=2.0,
+        distortion_u=0.002,
+        attachment_u=0.05,
+        sag_range=(0.01 * length, 0.06 * length),
+        swing_u=0.2,
+        load_u=0.3 if seed % 2 else 0.0,
+    )
+    theta = survey.prior_mean()
+    theta[:18] += rng.normal(0, 0.3, 18) * np.minimum(survey.prior_sigma()[:18], 0.05 * length)
+    count = rng.integers(5, 80) if count is None else count
+    t = np.sort(rng.uniform(0.05, 0.95, count))
+    intrinsics, pose = survey.camera(theta)
+    pixels, _ = project(intrinsics, pose, survey.shape(theta).points(t))
+    angle = rng.uniform(0, 2 * np.pi, count)
+    normal = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    offset = np.where(rng.random(count) < 0.9, rng.normal(0, 0.4, count), rng.normal(0, 9, count))
+    arc = np.cumsum(rng.exponential(15.0, count) * (rng.random(count) < 0.9))
+    curve = CurveObservations(t, arc, normal, pixels + offset[:, None] * normal, rng.uniform(0.02, 1, count))
+    rows = rng.normal(0, 1, (6, 10)) / survey.prior_sigma()[:10]
+    start = theta.copy()
+    start[SAG] *= rng.uniform(0.9, 1.1)
+    start[SWING] += rng.normal(0, 0.1)
+    return survey, start, CameraKnowledge(rows.T @ rows, 0.1 * rows.T @ rng.normal(0, 1, 6)), curve
+
+
+def in_numpy(asked):
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(joint, "kernels", None)
+        return asked()
+
+
+@pytest.mark.parametrize("lens", LENSES)
+@settings(max_examples=50, deadline=None)
+@given(st.integers(0, 2**32 - 1))
+def test_residuals_and_derivatives_are_those_of_numpy(lens, seed):
+    survey, theta, _, curve = question(seed, lens)
+    residual, jacobian = curve_terms(survey, theta, curve)
+    expected, expected_jacobian = in_numpy(lambda: curve_terms(survey, theta, curve))
+    np.testing.assert_allclose(residual, expected, rtol=1e-9, atol=1e-8)
+    # differences over 1e-6 keep ten digits
+    size = np.abs(expected_jacobian).max(axis=0) + 1e-12
+    np.testing.assert_allclose(jacobian / size, expected_jacobian / size, atol=1e-8)
+
+
+@pytest.mark.parametrize("lens", LENSES)
+@settings(max_examples=50, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.integers(1, 12))
+def test_the_estimate_is_that_of_numpy(lens, seed, iterations):
+    asked = question(seed, lens)
+    found, expected = solve(*asked, iterations), in_numpy(lambda: solve(*asked, iterations))
+    free = asked[0].unknowns()
+    sigma = np.sqrt(np.diag(expected.covariance)[free])
+    assert found.converged == expected.converged
+    np.testing.assert_allclose(found.theta[free] / sigma, expected.theta[free] / sigma, rtol=1e-9, atol=1e-6)
+    size = np.outer(sigma, sigma)
+    np.testing.assert_allclose(
+        found.covariance[np.ix_(free, free)] / size, expected.covariance[np.ix_(free, free)] / size, atol=1e-6
+    )
+    assert not np.delete(found.covariance, free, axis=0).any()
+    np.testing.assert_array_equal(found.covariance, found.covariance.T)
+    for name in ("residual", "weight", "white", "inflation", "misfit"):
+        np.testing.assert_allclose(getattr(found, name), getattr(expected, name), rtol=1e-6, atol=1e-6)
+    for mine, theirs in zip(found.noise, expected.noise, strict=True):
+        np.testing.assert_allclose(mine, theirs, rtol=1e-6)
+
+
+def test_offsets_out_of_order_are_solved_all_the_same():
+    survey, start, camera, curve = question(1, count=30)
+    order = np.random.default_rng(1).permutation(30)
+    parts = {name: getattr(curve, name)[order] for name in ("t", "arc", "normal", "measured", "sigma")}
+    found, expected = (solve(survey, start, camera, each) for each in (CurveObservations(**parts), curve))
+    np.testing.assert_allclose(found.theta, expected.theta, atol=1e-7)
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, 1e200])
+@pytest.mark.parametrize("part", ["t", "arc", "normal", "measured", "sigma"])
+def test_what_is_not_a_number_stays_none(part, value):
+    survey, start, camera, curve = question(2, count=12)
+    odd = np.array(getattr(curve, part))
+    odd[-1] = value
+    with np.errstate(all="ignore"):
+        found = solve(survey, start, camera, replace(curve, **{part: odd}))
+    assert found.theta.shape == (SIZE,)
+    if np.isnan(value) and part != "arc":
+        assert not found.converged
+        assert np.isnan(found.theta[SAG])
+
+
+def test_the_uncertainty_of_the_curve_is_that_of_numpy():
+    survey, start, camera, curve = question(3, count=40)
+    solution = solve(survey, start, camera, curve)
+    expected = in_numpy(lambda: curve_uncertainty(survey, solution, curve))
+    np.testing.assert_allclose(curve_uncertainty(survey, solution, curve), expected, rtol=1e-7)
+
+
+@pytest.mark.parametrize(
+    ("place", "other", "error", "words"),
+    [
+        (0, np.zeros(3), ValueError, "lens"),
+        (5, np.zeros(27), ValueError, "theta"),
+        (7, np.zeros((3, 2)), ValueError, "normal"),
+        (9, 20, ValueError, "free"),
+        (10, np.arange(12.0)[::-1].copy(), ValueError, "rise"),
+        (11, np.zeros(5), ValueError, "length"),
+        (12, np.eye(27), ValueError, "known"),
+        (14, np.zeros(3), ValueError, "longest"),
+        (15, np.zeros(3), ValueError, "settings"),
+        (16, 0, ValueError, "iterations"),
+        (17, np.zeros((28, 28), dtype=np.float32), TypeError, "covariance"),
+        (21, np.zeros((12, 18)), ValueError, "jacobian"),
+    ],
+)
+def test_arguments_that_do_not_fit_are_refused(place, other, error, words):
+    survey, start, _, curve = question(4, count=12)
+    asked = [*joint._words(survey, start, curve), 18, curve.arc, curve.sigma, np.eye(28), np.zeros(28), np.ones(18)]
+    asked += [np.ones(10), 5, np.zeros((28, 28)), *np.zeros((3, 12)), np.zeros((12, 28))]
+    kernels.solve(*asked)
+    asked[place] = other
+    with pytest.raises(error, match=words):
+        kernels.solve(*asked)
