@@ -37,7 +37,6 @@ format:
 
 bench:
 	@scripts/setup dev
-	@$(BIN)/python benchmarks/run.py --worlds 2 --no-paper
 	@$(BIN)/python benchmarks/performance/run.py
 
 accuracy:

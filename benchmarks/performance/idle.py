@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import shutil
 import subprocess
 import sys
@@ -13,12 +14,12 @@ from pathlib import Path
 from typing import Any
 
 from performance import wear
-from performance.frames import shot
+from performance.frames import Shot, shot
 from performance.node import write_node
 from performance.plan import Plan
 from performance.process import cpu_s
 from performance.proxy import Passed, Proxy
-from performance.running import broker_table, journalled
+from performance.running import ask, broker_table, journalled, running_worker
 from performance.windows import Share, share
 from sagnode.daemon.uplink import topic_prefix
 from sagnode.demo.broker import EmbeddedBroker
@@ -29,6 +30,8 @@ EARLY_S = 0.3
 """A reading's window opens so long before its slot."""
 SETTLE_S = 3.0
 """And closes so long after its numbers are in the journal: they are sent, the worker has learnt from the frame."""
+REST_S = 2.0
+"""Waiting between readings, at least."""
 PATIENCE_S = 90.0
 FIVE_MINUTES_S = 300.0
 
@@ -68,6 +71,7 @@ def waiting(plan: Plan) -> dict[str, Any]:
     frames' own times are five minutes apart from burst to burst, so that the worker learns from as many as it would.
     """
     picture = shot("tower", plan.folder)
+    interval_s = _interval(plan, picture)
     state = plan.folder / "idle-state"
     shutil.rmtree(state, ignore_errors=True)
     conductors = len(picture.alone(9).conductors)
@@ -81,7 +85,7 @@ def waiting(plan: Plan) -> dict[str, Any]:
             burst=BURST,
             apart_s=FIVE_MINUTES_S / BURST,
             mqtt=broker_table(broker, proxy.port),
-            schedule={"interval_s": plan.idle_interval_s, "clock": "system"},
+            schedule={"interval_s": interval_s, "clock": "system"},
             storage={"state_dir": str(state)},
         )
         words = [sys.executable, "-m", "sagnode", "run", "--config", str(loaded.path)]
@@ -96,14 +100,14 @@ def waiting(plan: Plan) -> dict[str, Any]:
 
             time.sleep(SETTLE_S)
             started = look()
-            watch = _watch(plan, look, lambda: journalled(state) // conductors)
+            watch = _watch(interval_s, plan.idle_readings, look, lambda: journalled(state) // conductors)
         finally:
             process.terminate()
             process.wait(30)
     assert loaded.node.mqtt is not None
     album = state / "appearances"
     return {
-        "interval_s": plan.idle_interval_s,
+        "interval_s": interval_s,
         "burst": BURST,
         "conductors": conductors,
         "readings": len(watch.after),
@@ -115,21 +119,28 @@ def waiting(plan: Plan) -> dict[str, Any]:
     }
 
 
-def _watch(plan: Plan, look: Callable[[], Sample], readings: Callable[[], int]) -> Watch:
-    """Samples around each of the plan's readings.
+def _interval(plan: Plan, picture: Shot) -> float:
+    """So much that a reading, what follows it and some waiting fit in, whatever the machine."""
+    with running_worker(write_node(picture, plan.folder / "node-idle", burst=BURST)) as worker:
+        began = time.monotonic()
+        ask(worker)
+        return max(plan.idle_interval_s, math.ceil(EARLY_S + 2 * (time.monotonic() - began) + SETTLE_S + REST_S))
+
+
+def _watch(interval: float, count: int, look: Callable[[], Sample], readings: Callable[[], int]) -> Watch:
+    """Samples around so many readings.
 
     Slots lie on multiples of the interval, whenever the node was started (``sagnode.daemon.schedule``).
 
     Raises:
         RuntimeError: a reading takes so long that the next one's window has begun.
     """
-    interval = plan.idle_interval_s
     before: list[Sample] = []
     after: list[Sample] = []
     slot = interval * (time.time() // interval + 1)
     if slot - EARLY_S < time.time():
         slot += interval
-    while len(after) < plan.idle_readings:
+    while len(after) < count:
         time.sleep(max(0.0, slot - EARLY_S - time.time()))
         done = readings()
         before.append(look())
@@ -138,7 +149,9 @@ def _watch(plan: Plan, look: Callable[[], Sample], readings: Callable[[], int]) 
         after.append(look())
         slot += interval
         if readings() != done + 1 or slot - EARLY_S < time.time():
-            raise RuntimeError(f"a reading with what follows takes longer than {interval:g} s; give the plan more")
+            raise RuntimeError(
+                f"a reading with what follows takes longer than {interval:g} s: too much else goes on here"
+            )
     time.sleep(max(0.0, slot - EARLY_S - time.time()))
     return Watch([*before, look()], after)
 

@@ -28,8 +28,11 @@ class Plan:
     soak_s: float
     """After so many seconds a soak ends with the readings that it has."""
     idle_interval_s: float
+    """At least; longer where a reading takes long."""
     idle_readings: int
     written_readings: int
+    worlds: int
+    """Of each group of the scene suite."""
 
 
 def quick(folder: Path) -> Plan:
@@ -44,10 +47,11 @@ def quick(folder: Path) -> Plan:
         burst_frames={"lab": (1, 2, 4, 8), "tower": (1, 2, 4, 8), "field": (1, 8)},
         daemon_readings=1200,
         worker_readings=1200,
-        soak_s=45.0,
-        idle_interval_s=10.0,
+        soak_s=30.0,
+        idle_interval_s=8.0,
         idle_readings=8,
         written_readings=120,
+        worlds=1,
     )
 
 
@@ -65,6 +69,7 @@ def thorough(folder: Path) -> Plan:
         idle_interval_s=30.0,
         idle_readings=24,
         written_readings=600,
+        worlds=4,
     )
 
 

@@ -9,7 +9,7 @@ from typing import Any
 from performance import speed_tables as speed
 from performance.idle_tables import idle_section
 from performance.prose import flow
-from performance.resource_tables import memory_section, profile_section, soak_section
+from performance.resource_tables import accuracy_section, memory_section, profile_section, soak_section
 
 Part = dict[str, Any]
 
@@ -21,7 +21,7 @@ def write_report(load: Callable[[str], Part | None], out: Path) -> list[Path]:
         load: gives a part's measurements by its name, or None.
         out: folder; made if need be.
     """
-    parts = {name: load(name) for name in ("speed", "memory", "soak", "idle", "profile")}
+    parts = {name: load(name) for name in ("speed", "accuracy", "memory", "soak", "idle", "profile")}
     measured = {name: part for name, part in parts.items() if part is not None}
     sections = ["# Performance", "", _head(measured)]
     out.mkdir(parents=True, exist_ok=True)
@@ -36,6 +36,7 @@ def write_report(load: Callable[[str], Part | None], out: Path) -> list[Path]:
         sections += [speed.methods_section(cases), speed.stages_section(cases)]
         sections += [speed.native_section(measured["speed"]["results"]["native"]), speed.growth_section(cases)]
     for name, section in (
+        ("accuracy", accuracy_section),
         ("memory", memory_section),
         ("soak", soak_section),
         ("idle", idle_section),

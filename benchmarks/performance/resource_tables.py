@@ -1,4 +1,4 @@
-"""Sections on memory, and where the remaining time goes."""
+"""Sections on errors, memory, and where the remaining time goes."""
 
 from __future__ import annotations
 
@@ -16,6 +16,25 @@ METHOD_NAMES = {
     "reading": "sagnode, one frame",
     "burst": "sagnode, burst of 8, frames handed over one by one",
 }
+
+
+def accuracy_section(results: dict[str, Any]) -> str:
+    """The scene suite's summary, as it prints it."""
+    worlds = "One world" if results["worlds"] == 1 else f"{results['worlds']} worlds"
+    lines = [
+        "## Errors of the same code",
+        "",
+        flow(
+            f"""{worlds} of each group, by `{results["command"]}`: a look, to see that speed has cost nothing.
+            [accuracy.md](accuracy.md) has many worlds, and says what the columns and the groups are."""
+        ),
+        "",
+        "```",
+        *(line.rstrip() for line in results["summary"].splitlines()),
+        "```",
+        "",
+    ]
+    return "\n".join(lines)
 
 
 def memory_section(results: dict[str, Any]) -> str:

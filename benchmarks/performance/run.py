@@ -1,6 +1,6 @@
 """Speed, memory and idle cost, sagnode beside the paper's methods; writes ``docs/performance.md`` and its plot.
 
-    python benchmarks/performance/run.py [--thorough] [--only speed memory soak idle profile] [--out docs]
+    python benchmarks/performance/run.py [--thorough] [--only accuracy speed memory soak idle profile] [--out docs]
 
 Without --thorough it takes a few minutes; ``--thorough --only soak`` sends 10 000 readings through the daemon and as
 many through the real worker, each in a quarter of an hour at most. What was measured lies in
@@ -31,7 +31,7 @@ from performance.stages import NameGone
 
 ROOT = Path(__file__).resolve().parents[2]
 WORK = ROOT / "out" / "performance"
-PARTS = {"speed": "speed", "memory": "memory", "soak": "soak", "idle": "idle", "profile": "hotspots"}
+PARTS = {name: name for name in ("accuracy", "speed", "memory", "soak", "idle")} | {"profile": "hotspots"}
 """And the module that measures each; ``profile`` is a module of the standard library."""
 LIMITS = {"OPENBLAS_NUM_THREADS": "1", "MALLOC_ARENA_MAX": "2"}
 """What the daemon gives its worker, too."""

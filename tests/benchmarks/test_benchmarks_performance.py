@@ -100,6 +100,15 @@ def test_too_few_readings_tell_no_slope():
     assert "150 readings are too few to tell" in page
 
 
+def test_the_page_carries_the_errors_of_the_code_that_is_timed():
+    summary = "group   told\ntower  5/6  "
+    page = resources.accuracy_section(
+        {"command": "python benchmarks/run.py --worlds 1", "worlds": 1, "summary": summary}
+    )
+    assert "One world of each group, by `python benchmarks/run.py --worlds 1`" in page
+    assert "```\ngroup   told\ntower  5/6\n```" in page
+
+
 def test_the_page_says_whether_the_kernels_were_in_use():
     row = {"compiled": True, "with_s": 0.02, "without_s": 0.05, "apart": 1e-6}
     page = tables.native_section({"compiled": True, "views": dict.fromkeys(frames.NAMES, row)})
