@@ -52,6 +52,7 @@ def _download(directory: Path) -> None:
     try:
         words = ("--quiet", "--no-deps", "--only-binary=:all:", "--no-compile", "--target", scratch)
         pip("install", *words, "--require-hashes", "--requirement", LOCK)
+        scratch.chmod(0o755)
         # Another build may have been quicker.
         with contextlib.suppress(OSError):
             scratch.rename(directory)
