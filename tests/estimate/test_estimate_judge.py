@@ -16,7 +16,7 @@ from sagnode.estimate.judge import judge
 from sagnode.estimate.matched import Matched, is_wire, looked_at, share_standing_out, survey_of, visible_share
 from sagnode.estimate.register import register
 from sagnode.estimate.tell import propagate
-from sagnode.match.refine import Sighting
+from sagnode.match.sight import Sighting
 from sagnode.pipeline import load_site
 from sagnode.quality import Cause, Validity
 from sagnode.scene.catenary import WireState

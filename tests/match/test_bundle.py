@@ -11,9 +11,9 @@ from sagnode.geometry.camera import Intrinsics, Pose, rotation_from_angles
 from sagnode.match.bundle import lines
 from sagnode.match.kernels import wire_kernel
 from sagnode.match.localise import localise_beside
-from sagnode.match.refine import trace
 from sagnode.match.ribbon import line_response, normals
 from sagnode.match.templates import View
+from sagnode.match.track import trace
 
 Floats = NDArray[np.float64]
 

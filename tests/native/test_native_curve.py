@@ -8,9 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sagnode.geometry.camera import Intrinsics, Pose, rotation_from_angles
-from sagnode.match import refine, templates
-from sagnode.match.refine import trace
+from sagnode.match import templates, track
 from sagnode.match.templates import View, visible_part
+from sagnode.match.track import trace
 from sagnode.native import kernels
 
 pytestmark = pytest.mark.skipif(kernels is None, reason="the extension was not built here")
@@ -38,7 +38,7 @@ def in_numpy(asked):
     """What a function answers without the extension."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(templates, "kernels", None)
-        patch.setattr(refine, "kernels", None)
+        patch.setattr(track, "kernels", None)
         return asked()
 
 

@@ -13,10 +13,11 @@ from sagnode.geometry.camera import FloatArray
 from sagnode.geometry.conductor import gravity_direction
 from sagnode.match.bundle import lines
 from sagnode.match.library import Shelf
-from sagnode.match.refine import mixed_samples, near_another, trace
+from sagnode.match.masks import near_another
 from sagnode.match.ribbon import line_response, normals
 from sagnode.match.search import Candidate, search
 from sagnode.match.templates import SAMPLES, STEP_PX, View
+from sagnode.match.track import mixed_samples, trace
 from sagnode.site import SiteConductor
 from sagnode.survey import ATTACHMENTS, SAG, SWING, Survey
 

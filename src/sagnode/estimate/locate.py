@@ -19,7 +19,7 @@ from sagnode.estimate.matched import (
 )
 from sagnode.estimate.register import Registered
 from sagnode.match.library import Shelf
-from sagnode.match.refine import runs_near
+from sagnode.match.masks import runs_near
 from sagnode.site import Site
 
 

@@ -11,8 +11,10 @@ from sagnode.capture.port import GreyImage
 from sagnode.estimate.joint import CurveObservations, Solution, curve_uncertainty, solve
 from sagnode.estimate.register import Registered, moved_survey
 from sagnode.geometry.camera import FloatArray
-from sagnode.match.refine import Observed, Sighting, Track, mixed_samples, observe, sight, trace
+from sagnode.match.refine import Observed, observe
+from sagnode.match.sight import Sighting, sight
 from sagnode.match.templates import SAMPLES, View
+from sagnode.match.track import Track, mixed_samples, trace
 from sagnode.site import SiteConductor
 from sagnode.survey import ATTACHMENTS, LOAD, SAG, SWING, Survey
 

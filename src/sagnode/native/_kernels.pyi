@@ -90,6 +90,42 @@ def localise(
     places, inside (S, M) bool.
     """
 
+def near_polyline(pixels: Array, normal: Array, reach: Array, other: Array, masked: Array) -> None:
+    """:func:`sagnode.match.masks.near`, added to masked (M,) bool.
+
+    pixels, normal (M, 2), reach (M,) and other (K, 2) are double precision.
+    """
+
+def folds_back(pixels: Array, normal: Array, arc: Array, index: Array, reach: Array, every: int, masked: Array) -> None:
+    """:func:`sagnode.match.masks.folds_back`, added to masked (M,) bool.
+
+    pixels, normal (N, 2), arc (N,) and reach (M,) are double precision, index (M,) int64; every so many samples of the
+    curve are compared.
+    """
+
+def stand_out(
+    offset: Array,
+    sigma: Array,
+    snr: Array,
+    arc: Array,
+    valid: Array,
+    beside: Array,
+    inside: Array,
+    masked: Array,
+    half_range: Array,
+    widest: float,
+    run: int,
+    rank: Array,
+    place: Array,
+    uncertainty: Array,
+    usable: Array,
+) -> None:
+    """:func:`sagnode.match.standing.stand_out` into rank, place, uncertainty (M,) and usable (M,) bool.
+
+    offset, sigma, snr, arc, half_range (M,) and beside (S, M), S at least 2, are double precision, valid, masked (M,)
+    and inside (S, M) bool, all without gaps.
+    """
+
 # What is measured below is double precision. A camera is told by sagnode.geometry.camera.Intrinsics.packed (17,), the
 # rotation (3, 3) and position (3,) of its pose; a conductor by near (3,), far (3,), sag, swing and load (K,).
 
@@ -148,7 +184,7 @@ def curve_track(
     """Samples evenly along a visible part, arc and at (K,) as ``curve_visible`` gives them; how many the camera sees.
 
     They begin t, depth and along, the length there (N,), pixels and normal (N, 2): what
-    :func:`sagnode.match.refine.trace` makes of them.
+    :func:`sagnode.match.track.trace` makes of them.
     """
 
 def curve_terms(

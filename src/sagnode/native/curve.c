@@ -1,5 +1,5 @@
 /* A conductor in the picture: its pixels, the part of it that is in the frame, and a track of samples along that. See
-   sagnode.match.templates and sagnode.match.refine.trace, which say what they mean and do the same in NumPy. */
+   sagnode.match.templates and sagnode.match.track.trace, which say what they mean and do the same in NumPy. */
 #include "geometry.h"
 #include <string.h>
 

@@ -49,6 +49,9 @@ PyObject *curve_pixels(PyObject *module, PyObject *const *words, Py_ssize_t coun
 PyObject *curve_visible(PyObject *module, PyObject *const *words, Py_ssize_t count);
 PyObject *curve_track(PyObject *module, PyObject *const *words, Py_ssize_t count);
 PyObject *localise(PyObject *module, PyObject *const *words, Py_ssize_t count);
+PyObject *near_polyline(PyObject *module, PyObject *const *words, Py_ssize_t count);
+PyObject *folds_back(PyObject *module, PyObject *const *words, Py_ssize_t count);
+PyObject *stand_out(PyObject *module, PyObject *const *words, Py_ssize_t count);
 PyObject *curve_terms(PyObject *module, PyObject *const *words, Py_ssize_t count);
 PyObject *solve(PyObject *module, PyObject *const *words, Py_ssize_t count);
 

@@ -58,13 +58,16 @@ static PyMethodDef functions[] = {
     {"curve_visible", (PyCFunction)(void (*)(void))curve_visible, METH_FASTCALL, NULL},
     {"curve_track", (PyCFunction)(void (*)(void))curve_track, METH_FASTCALL, NULL},
     {"localise", (PyCFunction)(void (*)(void))localise, METH_FASTCALL, NULL},
+    {"near_polyline", (PyCFunction)(void (*)(void))near_polyline, METH_FASTCALL, NULL},
+    {"folds_back", (PyCFunction)(void (*)(void))folds_back, METH_FASTCALL, NULL},
+    {"stand_out", (PyCFunction)(void (*)(void))stand_out, METH_FASTCALL, NULL},
     {"curve_terms", (PyCFunction)(void (*)(void))curve_terms, METH_FASTCALL, NULL},
     {"solve", (PyCFunction)(void (*)(void))solve, METH_FASTCALL, NULL},
     {NULL, NULL, 0, NULL},
 };
 
 /* Bump with every change of a function's arguments or meaning: see INTERFACE in __init__.py. */
-#define INTERFACE 5
+#define INTERFACE 6
 
 static int fill(PyObject *module) { return PyModule_AddIntConstant(module, "INTERFACE", INTERFACE); }
 

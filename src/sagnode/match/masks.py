@@ -1,0 +1,78 @@
+"""Where another wire, or another stretch of the same one, runs so near a curve that it could be taken for the wire."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sagnode.geometry.camera import FloatArray
+from sagnode.match.robust import median
+from sagnode.match.track import Track
+from sagnode.native import kernels
+
+MOST_COMPARED = 300
+"""Samples along a curve that suffice to see whether it folds back."""
+
+
+def near_another(track: Track, other: Track, reach: float) -> NDArray[np.bool_]:
+    """Which samples (N,) of a track have another within ``reach`` px across it."""
+    every = max(1, len(track.t) // MOST_COMPARED)
+    pixels = track.pixels[::every]
+    masked = near(pixels, track.normal[::every], other.pixels, np.full(len(pixels), reach))
+    return np.repeat(masked, every)[: len(track.t)]
+
+
+def runs_near(track: Track, others: list[FloatArray], half_range: float) -> bool:
+    """Whether any other polyline (K, 2) comes so close to a track that its blocks would be masked."""
+    every = np.arange(0, len(track.t), 8, dtype=np.int64)
+    pixels, normal, reach = track.pixels[every], track.normal[every], reach_of(track, every, half_range)
+    return any(near(pixels, normal, other, reach).any() for other in others)
+
+
+def reach_of(track: Track, index: NDArray[np.int64], half_range: float | FloatArray) -> FloatArray:
+    """Distance across the curve within which another wire disturbs a block at some samples (M,), px."""
+    outermost = np.max(np.abs(track.members[:, index]), axis=0)
+    return np.asarray(half_range + 3.0 + 0.5 * median(track.width) + outermost)
+
+
+def folds_back(track: Track, index: NDArray[np.int64], reach: FloatArray) -> NDArray[np.bool_]:
+    """Which samples (M,) have another stretch of the same curve within reach: its two halves seen along the line."""
+    step = max(4, len(track.t) // MOST_COMPARED)
+    if kernels is not None:
+        masked = np.zeros(len(index), dtype=bool)
+        kernels.folds_back(track.pixels, track.normal, track.arc, index, reach, step, masked)
+        return masked
+    reach, every = reach[:, None], slice(None, None, step)
+    pixels, arc, normal = track.pixels[every], track.arc[every], track.normal[every]
+    across, along = _apart(track.pixels[index], track.normal[index], pixels)
+    close = (np.abs(across) < reach) & (across**2 + along**2 < (reach + 12.0) ** 2)
+    away = np.abs(arc[None, :] - track.arc[index][:, None])
+    turned = track.normal[index] @ normal.T < 0.5
+    elsewhere = (away > 2 * np.pi * reach) | ((away > reach) & turned)
+    return np.asarray((close & elsewhere).any(axis=1))
+
+
+def near(pixel: FloatArray, normal: FloatArray, other: FloatArray, reach: FloatArray) -> NDArray[np.bool_]:
+    """Which points (M, 2) have another polyline (K, 2) within ``reach`` (M,) px across the curve, 12 px along it."""
+    if kernels is not None:
+        masked = np.zeros(len(pixel), dtype=bool)
+        kernels.near_polyline(pixel, normal, reach, other, masked)
+        return masked
+    finite = other[np.isfinite(other).all(axis=1)]
+    if not len(finite):
+        return np.zeros(len(pixel), dtype=bool)
+    # a point every few pixels of it is enough, since 12 px are looked along
+    across, along = _apart(pixel, normal, finite[:: max(1, int(6.0 / max(_spacing(finite), 1e-3)))])
+    return np.asarray(((np.abs(across) < reach[:, None]) & (np.abs(along) < 12.0)).any(axis=1))
+
+
+def _spacing(polyline: FloatArray) -> float:
+    """Largest distance between neighbouring points of a polyline (K, 2), px."""
+    return float(np.sqrt(np.max(np.sum(np.diff(polyline, axis=0) ** 2, axis=1), initial=0.0)))
+
+
+def _apart(pixel: FloatArray, normal: FloatArray, other: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Distances (M, K) of points (K, 2) from others (M, 2), across and along the curve with those normals (M, 2)."""
+    tangent = np.stack([normal[:, 1], -normal[:, 0]], axis=1)
+    across, along = (axis @ other.T - np.sum(axis * pixel, axis=1, keepdims=True) for axis in (normal, tangent))
+    return across, along
