@@ -56,7 +56,6 @@ class Proxy:
 
     def __init__(self, broker_port: int, prefix: str = "") -> None:
         self._broker_port = broker_port
-        self._prefix = prefix
         self._listener = socket.create_server(("127.0.0.1", 0))
         self.port = int(self._listener.getsockname()[1])
         self._stop = threading.Event()

@@ -8,8 +8,8 @@ from performance.frames import NAMES
 from performance.prose import flow
 
 MB = 1024.0
-FEWEST = 1000
-"""Readings of which a slope is told: fewer are over before the allocator has come to rest."""
+FEWEST = 5000
+"""Readings of which a slope is told: fewer are over before allocator and caches have come to rest."""
 METHOD_NAMES = {
     "literal": "paper, literal (any number of templates, one after the other)",
     "anchored": "exact, anchored, 300 templates",
@@ -104,7 +104,7 @@ def soak_section(results: dict[str, Any]) -> str:
 def _growth(found: dict[str, Any]) -> str:
     """A slope, where there were enough readings to tell one."""
     if found["readings"] < FEWEST:
-        return f"{found['readings']:,} readings are too few to tell"
+        return f"{found['readings']:,} readings are too few to tell: `run.py --thorough --only soak`"
     slope = found["slope"]
     return f"{slope['per_thousand']:+.0f} ± {slope['u']:.0f}"
 

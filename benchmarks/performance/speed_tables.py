@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -251,10 +252,8 @@ def growth_section(cases: Cases) -> str:
     lines.append(_growth("frame size, the same view", sizes, rows) + f" {growth:.2g} × for {pixels:.0f} × the pixels |")
     solves = [r["calls"].get("solve", 0) for r in rows]
     rows = cases.all("conductors")
-    each = (rows[-1]["min"] - rows[0]["min"]) / (len(rows) - 1)
-    lines.append(
-        _growth("conductors, tower", [str(r["conductors"]) for r in rows], rows) + f" {1e3 * each:.1f} ms each |"
-    )
+    steps = " and ".join(f"{1e3 * (b['min'] - a['min']):+.0f}" for a, b in pairwise(rows))
+    lines.append(_growth("conductors, tower", [str(r["conductors"]) for r in rows], rows) + f" {steps} ms |")
     for view in NAMES:
         rows = cases.all("burst", view=view)
         growth = rows[-1]["min"] / rows[0]["min"]
