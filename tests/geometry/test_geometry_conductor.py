@@ -126,7 +126,7 @@ def test_many_curves_at_once_equal_one_by_one() -> None:
     together = conductor_points(near, far, sags, swings, t, loads)
     for i, load in enumerate(loads):
         alone = conductor_points(near, far, sags[i], swings[i], t, load)
-        np.testing.assert_allclose(together[i], alone, rtol=1e-12)
+        np.testing.assert_allclose(together[i], alone, rtol=1e-12, atol=1e-12)
     shifted = conductor_points(np.stack([near, near + 1.0]), np.stack([far, far]), sags, swings, t)
     np.testing.assert_allclose(shifted[1], conductor_points(near + 1.0, far, 7.0, -0.2, t), rtol=1e-12)
 

@@ -7,7 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from sagnode.geometry import camera, conductor
 from sagnode.geometry.camera import Intrinsics, Pose, rotation_from_angles
+from sagnode.geometry.conductor import conductor_points
 from sagnode.match import templates, track
 from sagnode.match.templates import View, visible_part
 from sagnode.match.track import trace
@@ -37,8 +39,8 @@ def view(seed, lens="pinhole"):
 def in_numpy(asked):
     """What a function answers without the extension."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(templates, "kernels", None)
-        patch.setattr(track, "kernels", None)
+        for room in (camera, conductor, templates, track):
+            patch.setattr(room, "kernels", None)
         return asked()
 
 
@@ -52,6 +54,22 @@ def test_pixels_and_depths_are_those_of_numpy(lens, seed):
     expected, expected_depth = in_numpy(lambda: own.pixels(sag, swing, t))
     np.testing.assert_allclose(depth, expected_depth, rtol=1e-9, atol=1e-9)
     np.testing.assert_allclose(pixels, expected, rtol=1e-8, atol=1e-6)
+
+
+@pytest.mark.parametrize("lens", LENSES)
+@pytest.mark.parametrize("shape", [(), (7,), (2, 5), (0,)])
+def test_points_are_projected_as_in_numpy(lens, shape):
+    own, sag, swing = view(3, lens)
+    points = own.pose.position + np.random.default_rng(1).normal(0, 30, (*shape, 3))
+    pixels, depth = camera.project(own.intrinsics, own.pose, points)
+    expected, expected_depth = in_numpy(lambda: camera.project(own.intrinsics, own.pose, points))
+    np.testing.assert_allclose(pixels, expected, rtol=1e-9, atol=1e-6)
+    np.testing.assert_allclose(depth, expected_depth, rtol=1e-9, atol=1e-9)
+    if not shape:
+        t = np.linspace(0, 1, 21)
+        space = conductor_points(own.near, own.far, sag, swing, t, own.load)
+        expected = in_numpy(lambda: conductor_points(own.near, own.far, sag, swing, t, own.load))
+        np.testing.assert_allclose(space, expected, rtol=1e-12, atol=1e-9)
 
 
 @pytest.mark.parametrize("lens", LENSES)

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from sagnode.estimate import joint
 from sagnode.estimate.joint import CameraKnowledge, CurveObservations, curve_terms, curve_uncertainty, solve
+from sagnode.geometry import camera, conductor
 from sagnode.geometry.camera import Intrinsics, Pose, project, rotation_from_angles
 from sagnode.native import kernels
 from sagnode.survey import SAG, SIZE, SWING, Survey
@@ -65,7 +66,8 @@ def question(seed, lens="pinhole", count=None):
 
 def in_numpy(asked):
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(joint, "kernels", None)
+        for room in (joint, camera, conductor):
+            patch.setattr(room, "kernels", None)
         return asked()
 
 

@@ -332,7 +332,8 @@ class _Question:
 def _solve_compiled(compiled: ModuleType, asked: _Question) -> Solution:
     """:func:`_solve`, where the offsets follow each other along the curve."""
     curve, theta = asked.curve, asked.start.astype(np.float64)
-    own = (*_words(asked.survey, theta, curve), len(asked.longest), curve.arc, curve.sigma)
+    along = (np.ascontiguousarray(part, dtype=np.float64) for part in (curve.arc, curve.sigma))
+    own = (*_words(asked.survey, theta, curve), len(asked.longest), *along)
     own = (*own, asked.known, asked.target, asked.longest, np.array([*_SETTINGS, *asked.bounds]), asked.iterations)
     covariance, jacobian = np.empty((SIZE, SIZE)), np.empty((len(curve.t), SIZE))
     residual, weight, noise = np.empty((3, len(curve.t)))
@@ -357,7 +358,8 @@ def _words(survey: Survey, theta: FloatArray, curve: CurveObservations) -> tuple
     pose = survey.pose
     places = (pose.rotation, pose.position, survey.near, survey.far)
     own = (survey.intrinsics.packed, *(np.asarray(part, dtype=np.float64) for part in places))
-    return (*own, theta, curve.t, curve.normal, curve.measured)
+    seen = (theta, curve.t, curve.normal, curve.measured)
+    return (*own, *(np.ascontiguousarray(part, dtype=np.float64) for part in seen))
 
 
 def _solve(asked: _Question) -> Solution:

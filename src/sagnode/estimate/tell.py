@@ -110,16 +110,18 @@ def propagate(
     calm = abs(float(theta[SWING])) < TEMPERATURE_SWING and not survey.load_u
     around, steps = _around(found)
     all_values = _values(site, conductor, survey, around, calm=calm)
-    values = {stem: float(column[0]) for stem, column in all_values.items()}
+    table = np.array(list(all_values.values()))
+    g = np.zeros((len(table), SIZE))
+    g[:, list(steps)] = (table[:, 1:-2:2] - table[:, 2:-2:2]) / (2 * np.array(list(steps.values())))
     pieces = found.solution.information(survey)
+    linear = np.sum((g @ np.stack(list(pieces.values()))) * g, axis=-1)
+    # half the second difference over one standard uncertainty of swing to both sides (JCGM 100, 5.1.2, note)
+    second = 0.5 * (table[:, -2] + table[:, -1] - 2 * table[:, 0]) ** 2
     estimates, budget = {}, {}
-    for stem, value in values.items():
-        column = all_values[stem]
-        g = np.zeros(SIZE)
-        g[list(steps)] = (column[1:-2:2] - column[2:-2:2]) / (2 * np.array(list(steps.values())))
-        parts = {name: float(g @ piece @ g) for name, piece in pieces.items()}
-        # half the second difference over one standard uncertainty of swing to both sides (JCGM 100, 5.1.2, note)
-        parts["swing, second order"] = 0.5 * (column[-2] + column[-1] - 2 * value) ** 2
+    for row, stem in enumerate(all_values):
+        value = float(table[row, 0])
+        parts = dict(zip(pieces, linear[:, row].tolist(), strict=True))
+        parts["swing, second order"] = float(second[row])
         if stem in _GROUND_STEMS:
             parts["ground"] = site.ground.height_u**2
         if stem in _PLACE_STEMS:
@@ -140,7 +142,8 @@ def _around(found: Matched) -> tuple[FloatArray, dict[int, float]]:
     sag in the swung plane grows as 1/cos(swing), which no straight line follows. The last two follow that curve.
     """
     theta, (swing, swing_u) = found.solution.theta, found.swing
-    steps = {k: step for k, step in _STEPS.items() if k in found.survey.unknowns()}
+    unknowns = len(found.survey.unknowns())
+    steps = {k: step for k, step in _STEPS.items() if k < unknowns}
     around = np.tile(theta, (2 * len(steps) + 3, 1))
     for row, (k, step) in enumerate(steps.items()):
         around[2 * row + 1, k] += step

@@ -13,6 +13,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from sagnode.native import kernels
+
 FloatArray = NDArray[np.float64]
 
 
@@ -173,6 +175,13 @@ def project(intrinsics: Intrinsics, pose: Pose, points: FloatArray) -> tuple[Flo
 
     Points behind the camera, or beyond the lens's reach, become NaN pixels.
     """
+    if kernels is not None:
+        places = np.ascontiguousarray(points, dtype=np.float64)
+        flat = places.reshape(-1, 3)
+        own = (np.asarray(part, dtype=np.float64) for part in (pose.rotation, pose.position))
+        pixels, depth = np.empty((len(flat), 2)), np.empty(len(flat))
+        kernels.project(intrinsics.packed, *own, flat, pixels, depth)
+        return pixels.reshape(*places.shape[:-1], 2), depth.reshape(places.shape[:-1])
     return project_camera(intrinsics, (points - pose.position) @ pose.rotation.T)
 
 

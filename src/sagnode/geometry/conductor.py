@@ -26,6 +26,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sagnode.geometry.camera import FloatArray
+from sagnode.native import kernels
 
 _DOWN = np.array([0.0, 0.0, -1.0])
 _IDENTITY = np.eye(3)
@@ -170,6 +171,13 @@ def conductor_points(
         t: curve parameter in [0, 1]: the fraction of the chord.
         load: terms cₖ of an uneven load, shape (..., K); none for an even one.
     """
+    shape = (np.asarray(sag, dtype=np.float64), np.asarray(swing_rad, dtype=np.float64))
+    terms = np.asarray(load, dtype=np.float64)
+    if kernels is not None and near.ndim == far.ndim == terms.ndim == 1 and shape[0].ndim == shape[1].ndim == 0:
+        points = np.empty((len(t), 3))
+        places = (np.asarray(near, dtype=np.float64), np.asarray(far, dtype=np.float64))
+        kernels.curve_points(*places, *shape, terms, np.asarray(t, dtype=np.float64), points)
+        return points
     chord = far - near
     profile = loaded_profile(np.hypot(chord[..., 0], chord[..., 1]), chord[..., 2], sag, t, load)
     direction = gravity_direction(near, far, swing_rad)

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 from sagnode.geometry.camera import FloatArray
 from sagnode.geometry.conductor import catenary_half_angle, conductor_points, loaded_profile
 from sagnode.geometry.ground import GroundProfile
+from sagnode.native import kernels
 
 _T = np.linspace(0.0, 1.0, 401)
 
@@ -69,7 +70,9 @@ def clearance_place_u(shape: Shape, ground: GroundProfile) -> float:
     Places whose clearance exceeds the least by less than two heights' errors may be the least in truth: the place is
     weighed by how likely each of them is.
     """
-    _, points, along = _layout(shape)
+    if kernels is not None:
+        return float(kernels.clearance_place_u(*_words(_many(shape), ground), ground.height_u))
+    points, along = _layout(_many(shape))
     places, gap = (part[0] for part in _gaps(points, along, ground))
     order = np.argsort(places)
     places, excess = places[order], gap[order] - gap.min()
@@ -78,13 +81,23 @@ def clearance_place_u(shape: Shape, ground: GroundProfile) -> float:
     return float(np.sqrt(np.sum(weight * (places - best) ** 2) / max(float(weight.sum()), 1e-12)))
 
 
-def _layout(shape: Shape) -> tuple[Shape, FloatArray, FloatArray]:
-    """The shapes with one leading axis, their points (S, N, 3) and the points' horizontal distances from A (S, N)."""
+def _many(shape: Shape) -> Shape:
+    """The shapes with one leading axis."""
     near, far = np.atleast_2d(shape.near), np.atleast_2d(shape.far)
     sag, swing = (np.atleast_1d(np.asarray(value, dtype=np.float64)) for value in (shape.sag, shape.swing))
-    many = Shape(near, far, sag, swing, np.atleast_2d(np.asarray(shape.load, dtype=np.float64)))
+    return Shape(near, far, sag, swing, np.atleast_2d(np.asarray(shape.load, dtype=np.float64)))
+
+
+def _words(many: Shape, ground: GroundProfile) -> tuple[FloatArray, ...]:
+    """Shapes and ground, as compiled functions take them."""
+    parts = (many.near, many.far, many.sag, many.swing, many.load, _T, ground.along, ground.height, ground.obstacles)
+    return tuple(np.ascontiguousarray(part, dtype=np.float64) for part in parts)
+
+
+def _layout(many: Shape) -> tuple[FloatArray, FloatArray]:
+    """Points of the shapes (S, N, 3) and the points' horizontal distances from A (S, N)."""
     points = many.points()
-    return many, points, np.asarray(np.einsum("snk,sk->sn", points[..., :2] - near[:, None, :2], _heading(many)))
+    return points, np.asarray(np.einsum("snk,sk->sn", points[..., :2] - many.near[:, None, :2], _heading(many)))
 
 
 def _heading(many: Shape) -> FloatArray:
@@ -113,8 +126,46 @@ def quantities_of_many(
     shape: Shape, ground: GroundProfile, unit_weight_n_m: float | None = None
 ) -> dict[str, FloatArray]:
     """:func:`quantities` of several shapes at once, arrays (S,)."""
-    many, points, along = _layout(shape)
-    sags, swings = np.asarray(many.sag), np.asarray(many.swing)
+    many = _many(shape)
+    swings = np.asarray(many.swing)
+    found = _along_the_curves(many, ground)
+    sag, inplane_sag, blowout, lowest, lowest_along, clearance, clearance_along, midspan, above, constant = found
+    result = {
+        "sag": sag,
+        "inplane_sag": inplane_sag,
+        "swing": np.degrees(swings),
+        "blowout": blowout,
+        "lowest_height": lowest,
+        "lowest_along": lowest_along,
+        "drop": np.maximum(many.near[:, 2], many.far[:, 2]) - lowest,
+        "clearance": clearance,
+        "clearance_along": clearance_along,
+        "midspan_sag": 0.5 * (many.near[:, 2] + many.far[:, 2]) - midspan,
+        "midspan_clearance": above,
+        "catenary_constant": constant,
+    }
+    if np.asarray(many.load).shape[-1]:
+        # H over which weight? an uneven load has no one weight per metre
+        del result["catenary_constant"]
+        result["load_skew"] = np.asarray(many.load)[:, 0]
+    elif unit_weight_n_m is not None:
+        # the swung conductor hangs in apparent gravity w/cos(swing)
+        result["tension"] = constant * unit_weight_n_m / np.cos(swings)
+    return result
+
+
+def _along_the_curves(many: Shape, ground: GroundProfile) -> tuple[FloatArray, ...]:
+    """What is looked for along the curves (S,), m.
+
+    Sag, in-plane sag, blow-out, least height and its place, least clearance and its place, height at mid-span and
+    clearance there, constant of the catenary.
+    """
+    if kernels is not None:
+        result = np.empty((10, len(many.near)))
+        kernels.quantities(*_words(many, ground), result)
+        return tuple(result)
+    points, along = _layout(many)
+    sags = np.asarray(many.sag)
     chord = many.far - many.near
     span = np.hypot(chord[:, 0], chord[:, 1])
     heading = _heading(many)
@@ -127,29 +178,18 @@ def quantities_of_many(
     middle = span / 2
     at_middle = [np.interp(m, a, z) for m, a, z in zip(middle, along, points[..., 2], strict=True)]
     midspan_height = np.array(at_middle)
-    constant = span / (2 * catenary_half_angle(span, chord[:, 2], sags))
-    result = {
-        "sag": _extreme(below_chord, along)[0],
-        "inplane_sag": _extreme(loaded_profile(span, chord[:, 2], sags, _T, many.load), _T)[0],
-        "swing": np.degrees(swings),
-        "blowout": _extreme(np.abs(across), along)[0],
-        "lowest_height": -lowest,
-        "lowest_along": lowest_along,
-        "drop": np.maximum(many.near[:, 2], many.far[:, 2]) + lowest,
-        "clearance": gap[rows, least],
-        "clearance_along": places[rows, least],
-        "midspan_sag": 0.5 * (many.near[:, 2] + many.far[:, 2]) - midspan_height,
-        "midspan_clearance": midspan_height - ground.top(middle),
-        "catenary_constant": constant,
-    }
-    if np.asarray(many.load).shape[-1]:
-        # H over which weight? an uneven load has no one weight per metre
-        del result["catenary_constant"]
-        result["load_skew"] = np.asarray(many.load)[:, 0]
-    elif unit_weight_n_m is not None:
-        # the swung conductor hangs in apparent gravity w/cos(swing)
-        result["tension"] = constant * unit_weight_n_m / np.cos(swings)
-    return result
+    return (
+        _extreme(below_chord, along)[0],
+        _extreme(loaded_profile(span, chord[:, 2], sags, _T, many.load), _T)[0],
+        _extreme(np.abs(across), along)[0],
+        -lowest,
+        lowest_along,
+        gap[rows, least],
+        places[rows, least],
+        midspan_height,
+        midspan_height - ground.top(middle),
+        span / (2 * catenary_half_angle(span, chord[:, 2], sags)),
+    )
 
 
 def catenary_length_and_tension(

@@ -144,6 +144,12 @@ def curve_pixels(
 ) -> None:
     """:meth:`sagnode.match.templates.View.pixels` at t (N,) into pixels (N, 2) and depth (N,)."""
 
+def curve_points(near: Array, far: Array, sag: float, swing: float, load: Array, t: Array, points: Array) -> None:
+    """:func:`sagnode.geometry.conductor.conductor_points` of one conductor at t (N,) into points (N, 3)."""
+
+def project(lens: Array, rotation: Array, position: Array, points: Array, pixels: Array, depth: Array) -> None:
+    """:func:`sagnode.geometry.camera.project` of points (N, 3) without gaps into pixels (N, 2) and depth (N,)."""
+
 def curve_visible(
     lens: Array,
     rotation: Array,
@@ -237,3 +243,38 @@ def solve(
     its constants, and bounds of sag and swing. Results go into theta, covariance (28, 28), residual, weight, noise (M,)
     and jacobian (M, 28).
     """
+
+# Several shapes at once: near and far (S, 3), sag and swing (S,), load (S or 1, K); t (N,) without gaps; the ground's
+# along and height (G,) and obstacles (M, 3).
+
+def quantities(
+    near: Array,
+    far: Array,
+    sag: Array,
+    swing: Array,
+    load: Array,
+    t: Array,
+    along: Array,
+    height: Array,
+    obstacles: Array,
+    result: Array,
+) -> None:
+    """What :func:`sagnode.geometry.quantities.quantities_of_many` looks for along the curves, into result (10, S).
+
+    Rows: sag, in-plane sag, blow-out, least height and its place, least clearance and its place, height at mid-span and
+    clearance there, constant of the catenary.
+    """
+
+def clearance_place_u(
+    near: Array,
+    far: Array,
+    sag: Array,
+    swing: Array,
+    load: Array,
+    t: Array,
+    along: Array,
+    height: Array,
+    obstacles: Array,
+    height_u: float,
+) -> float:
+    """:func:`sagnode.geometry.quantities.clearance_place_u` of one shape."""

@@ -152,6 +152,52 @@ PyObject *curve_pixels(PyObject *module, PyObject *const *words, Py_ssize_t coun
     Py_RETURN_NONE;
 }
 
+PyObject *curve_points(PyObject *module, PyObject *const *words, Py_ssize_t count)
+{
+    arrays all = {0};
+    conductor of;
+    array t, points;
+    (void)module;
+    if (require(count == CONDUCTOR_WORDS + 2, "curve_points takes seven arguments") < 0)
+        return NULL;
+    words += CONDUCTOR_WORDS;
+    if (take_conductor(&all, words - CONDUCTOR_WORDS, &of) < 0 || take(&all, words[0], "t", 'd', 1, 0, 0, &t) < 0 ||
+        take(&all, words[1], "points", 'd', 2, 1, 1, &points) < 0 ||
+        require(points.shape[0] == t.shape[0] && points.shape[1] == 3, "points do not fit t") < 0) {
+        release(&all);
+        return NULL;
+    }
+    for (Py_ssize_t k = 0; k < t.shape[0]; k++)
+        place_at(&of, number(&t, k), (double *)points.at + 3 * k);
+    release(&all);
+    Py_RETURN_NONE;
+}
+
+PyObject *project(PyObject *module, PyObject *const *words, Py_ssize_t count)
+{
+    arrays all = {0};
+    camera at;
+    array points, pixels, depth;
+    (void)module;
+    if (require(count == CAMERA_WORDS + 3, "project takes six arguments") < 0)
+        return NULL;
+    words += CAMERA_WORDS;
+    if (take_camera(&all, words - CAMERA_WORDS, &at) < 0 ||
+        take(&all, words[0], "points", 'd', 2, 1, 0, &points) < 0 ||
+        take(&all, words[1], "pixels", 'd', 2, 1, 1, &pixels) < 0 ||
+        take(&all, words[2], "depth", 'd', 1, 1, 1, &depth) < 0 ||
+        require(points.shape[1] == 3 && pixels.shape[0] == points.shape[0] && pixels.shape[1] == 2 &&
+                    depth.shape[0] == points.shape[0],
+                "pixels and depth do not fit points") < 0) {
+        release(&all);
+        return NULL;
+    }
+    for (Py_ssize_t k = 0; k < points.shape[0]; k++)
+        ((double *)depth.at)[k] = pictured(&at, (const double *)points.at + 3 * k, (double *)pixels.at + 2 * k);
+    release(&all);
+    Py_RETURN_NONE;
+}
+
 /* The next of the parameters at which a curve is followed: even along the span, and even in 1/depth. */
 typedef struct {
     int count, even, inverse, uneven;

@@ -61,13 +61,17 @@ static PyMethodDef functions[] = {
     {"near_polyline", (PyCFunction)(void (*)(void))near_polyline, METH_FASTCALL, NULL},
     {"folds_back", (PyCFunction)(void (*)(void))folds_back, METH_FASTCALL, NULL},
     {"stand_out", (PyCFunction)(void (*)(void))stand_out, METH_FASTCALL, NULL},
+    {"curve_points", (PyCFunction)(void (*)(void))curve_points, METH_FASTCALL, NULL},
+    {"project", (PyCFunction)(void (*)(void))project, METH_FASTCALL, NULL},
     {"curve_terms", (PyCFunction)(void (*)(void))curve_terms, METH_FASTCALL, NULL},
     {"solve", (PyCFunction)(void (*)(void))solve, METH_FASTCALL, NULL},
+    {"quantities", (PyCFunction)(void (*)(void))quantities, METH_FASTCALL, NULL},
+    {"clearance_place_u", (PyCFunction)(void (*)(void))clearance_place_u, METH_FASTCALL, NULL},
     {NULL, NULL, 0, NULL},
 };
 
 /* Bump with every change of a function's arguments or meaning: see INTERFACE in __init__.py. */
-#define INTERFACE 6
+#define INTERFACE 7
 
 static int fill(PyObject *module) { return PyModule_AddIntConstant(module, "INTERFACE", INTERFACE); }
 
