@@ -51,7 +51,8 @@ def main() -> int:
     for part in options.only:
         print(f"{time.monotonic() - began:6.0f} s  {part}", file=sys.stderr, flush=True)
         try:
-            _store(part, plan, _measure(part)(plan))
+            version = _version()  # the tree may move on while it is measured
+            _store(part, plan, version, _measure(part)(plan))
         except NameGone as gone:
             print(f"{part}: {gone}", file=sys.stderr)
             return 1
@@ -75,10 +76,10 @@ def _measure(part: str) -> Callable[[plans.Plan], dict[str, Any]]:
     return importlib.import_module(f"performance.{PARTS[part]}").measure
 
 
-def _store(part: str, plan: plans.Plan, results: dict[str, Any]) -> None:
+def _store(part: str, plan: plans.Plan, version: str, results: dict[str, Any]) -> None:
     about = {
         "measured_at": datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
-        "version": _version(),
+        "version": version,
         "machine": _machine(),
         "thorough": plan.thorough,
         "load": os.getloadavg()[0],
