@@ -61,5 +61,5 @@ deb:
 	@$(BIN)/python deploy/build_deb.py
 
 clean:
-	rm -rf .venv .mypy_cache .ruff_cache .pytest_cache .hypothesis out build dist src/*.egg-info
+	rm -rf .venv .mypy_cache .ruff_cache .pytest_cache .hypothesis out build dist src/*.egg-info src/sagnode/native/*.so
 	find src tests benchmarks -name __pycache__ -prune -exec rm -rf {} +
