@@ -13,7 +13,15 @@ from numpy.typing import NDArray
 from sagnode.config.load import load_span
 from sagnode.estimate.even import find_even
 from sagnode.estimate.judge import judge
-from sagnode.estimate.matched import Matched, is_wire, looked_at, share_standing_out, survey_of, visible_share
+from sagnode.estimate.matched import (
+    Matched,
+    completed,
+    is_wire,
+    looked_at,
+    share_standing_out,
+    survey_of,
+    visible_share,
+)
 from sagnode.estimate.register import register
 from sagnode.estimate.tell import propagate
 from sagnode.match.sight import Sighting
@@ -52,8 +60,9 @@ def along_the_line(*, hidden: bool = False) -> Found:
         image = painted(image, without, far)
     registered, reasons = register(site, image)
     assert not reasons, reasons
-    match = find_even(image, conductor, survey_of(conductor, registered), registered)
-    assert match is not None
+    before = find_even(image, conductor, survey_of(conductor, registered), registered)
+    assert before is not None
+    match = replace(completed(image, conductor, registered, before, []), unaided=before)
     return Found(site, conductor, looked_at(image, match))
 
 

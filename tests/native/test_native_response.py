@@ -24,6 +24,14 @@ def question(seed):
     places = rng.uniform(-4, 4, (lines, rows, columns)).astype(np.float32)
     sides = rng.uniform(1, 6, (lines, 1, columns)).astype(np.float32)
     band = rng.uniform(-3, 3, (rng.integers(1, 6), rows)).astype(np.float32) if seed % 2 else NO_BAND
+    if seed % 3 == 0:
+        # a thin line whose sides are whole steps of the band away
+        step = rng.uniform(0.5, 2.0, (1, rows, 1)).astype(np.float32)
+        places, sides = (
+            np.zeros((1, 1, 1), dtype=np.float32),
+            step * rng.integers(1, 3, (1, rows, 1)).astype(np.float32),
+        )
+        band = (np.arange(-2.0, 3.0)[:, None] * step[0, :, 0]).astype(np.float32)
     return image, (u, v), normal, (places, sides), band
 
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from sagnode.capture.port import GreyImage
-from sagnode.estimate.matched import STAGES, Matched, attachment_z, completed, refine, remaining_stages, view_of
+from sagnode.estimate.matched import STAGES, Matched, attachment_z, refine, remaining_stages, view_of
 from sagnode.estimate.register import Registered
 from sagnode.geometry.camera import FloatArray
 from sagnode.geometry.conductor import gravity_direction
@@ -80,7 +80,7 @@ def find_even(
     if not finals:
         return None
     rival = max((_rivalry(image, finals[0], other) for other in finals[1:]), default=0.0)
-    return replace(completed(image, conductor, registered, finals[0], []), rival=rival)
+    return replace(finals[0], rival=rival)
 
 
 def _near_enough(view: View, candidate: Candidate, found: Matched) -> bool:

@@ -8,7 +8,6 @@ from sagnode.capture.port import GreyImage
 from sagnode.estimate.even import find_even
 from sagnode.estimate.load import settle_loads
 from sagnode.estimate.matched import (
-    NOT_LOOKED_AT,
     STAGES,
     Matched,
     completed,
@@ -20,37 +19,55 @@ from sagnode.estimate.matched import (
 from sagnode.estimate.register import Registered
 from sagnode.match.library import Shelf
 from sagnode.match.masks import runs_near
-from sagnode.site import Site
+from sagnode.site import Site, SiteConductor
 
 
 def locate(site: Site, image: GreyImage, registered: Registered, shelf: Shelf | None = None) -> dict[str, Matched]:
     """Find the measured conductors of a span, by id.
 
-    Every conductor, those that are only known about included, is first found alone under an even load. Then the
-    measured ones are compared: their swings, and what is left over, say whether the load of any may be uneven. Last,
-    those that run close to another are refined once more with the others' curves masked, so that a neighbour cannot
-    pull them.
+    Every conductor, those that are only known about included, is first found alone under an even load. Those that run
+    close to another are refined once more with the others' curves masked, so that a neighbour cannot pull them, and
+    all are completed. Then they are compared: their swings, and what is left over, say whether the load of any may be
+    uneven; what is followed under an uneven load is kept clear of the others likewise.
 
     ``shelf`` holds the libraries that frames of the same burst have drawn before.
     """
     alone = {c.id: find_even(image, c, survey_of(c, registered), registered, shelf) for c in site.conductors}
     measured = [c for c in site.conductors if c.measured]
-    evens = [(c, None if (even := alone[c.id]) is None else looked_at(image, even)) for c in measured]
-    alone |= dict(zip((c.id for c in measured), settle_loads(image, registered, evens), strict=True))
-    curves = {name: m.track.wires() for name, m in alone.items() if m is not None}
-    found: dict[str, Matched] = {}
+    evens = {c.id: _among_others(image, c, registered, alone) for c in measured}
+    # one that only shows where a neighbour runs is not told, but it asks for no uneven load either
+    doubted = [(c, found and looked_at(image, found)) for c in measured for found in [evens[c.id] or alone[c.id]]]
+    settled = dict(zip(evens, settle_loads(image, registered, doubted), strict=True))
+    together = alone | settled
+    located: dict[str, Matched] = {}
     for conductor in measured:
-        first = alone[conductor.id]
-        if first is None:
-            continue
-        others = [wire for name, wires in curves.items() if name != conductor.id for wire in wires]
-        if runs_near(first.track, others, STAGES[-1].half_range_px):
-            start, stages = first.solution.theta, remaining_stages(first)
-            masked = refine(image, conductor, first.survey, registered, start, others, stages, first.track)
-            if masked is not None:
-                masked = replace(masked, rival=first.rival, doubtful_load=first.doubtful_load)
-                masked = completed(image, conductor, registered, masked, others)
-            first = masked
-        if first is not None:
-            found[conductor.id] = first if first.sighting is not NOT_LOOKED_AT else looked_at(image, first)
-    return found
+        found = settled[conductor.id]
+        if found is not None and found.survey.load_u:
+            found = _among_others(image, conductor, registered, together)
+            found = found and looked_at(image, found)
+        elif evens[conductor.id] is None:
+            found = None
+        if found is not None:
+            located[conductor.id] = found
+    return located
+
+
+def _among_others(
+    image: GreyImage, conductor: SiteConductor, registered: Registered, all_found: dict[str, Matched | None]
+) -> Matched | None:
+    """A conductor as it is measured where it is clear of the others; None where it is not."""
+    found = all_found[conductor.id]
+    if found is None:
+        return None
+    neighbours = [m.track for name, m in all_found.items() if m is not None and name != conductor.id]
+    others = [wire for track in neighbours for wire in track.wires()]
+    clear = found
+    if runs_near(found.track, others, STAGES[-1].half_range_px):
+        start, stages = found.solution.theta, remaining_stages(found)
+        masked = refine(image, conductor, found.survey, registered, start, others, stages, found.track)
+        if masked is None:
+            return None
+        clear = replace(masked, rival=found.rival, doubtful_load=found.doubtful_load)
+    else:
+        others = []
+    return replace(completed(image, conductor, registered, clear, others), unaided=found)

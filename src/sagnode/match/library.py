@@ -38,6 +38,9 @@ POOL_PX = 2.0
 BAND_LIMITS_PX = (0.35, 0.8)
 BANDS = ((0.0,), (-1.5, 0.0, 1.5), (-2.0, -1.0, 0.0, 1.0, 2.0))
 """Where across the curve to look, in its uncertainty of place, up to each limit of that and beyond."""
+SHORTER_SIDE = 0.3
+"""By which share of a band's step a wire's sides may be looked at nearer to it than elsewhere."""
+LEAST_STEP_PX = 0.5
 WIDE_PX = 2.0
 """Width of a wire that is still seen in a picture of half the size."""
 REACH_PX = 48.0
@@ -193,9 +196,17 @@ def places_of(
     """
     u, v, nu, nv, depth = family.placed(view.intrinsics, part, sags, swings)
     width = np.float32(view.diameter * view.intrinsics.fx) / depth
-    place, side = lines(family.members[:, part, :1] * nu + family.members[:, part, 1:] * nv, width)
     pool = np.minimum(spread, POOL_PX)
     band = BANDS[int(np.searchsorted(BAND_LIMITS_PX, float(pool.max())))]
+    if len(family.members) == 1:
+        place, side = lines(np.zeros((1, 1, 1), dtype=np.float32), width)
+        if band == BANDS[-1]:
+            # a whole number of the band's steps: the sides of one place are the middles and sides of others
+            step = pool.astype(np.float32)[:, None]
+            snapped = step * np.maximum(np.ceil(side / np.maximum(step, LEAST_STEP_PX) - SHORTER_SIDE), 1)
+            side = np.where(step >= LEAST_STEP_PX, snapped, side)
+    else:
+        place, side = lines(family.members[:, part, :1] * nu + family.members[:, part, 1:] * nv, width)
     return Places(
         pixel=(u, v),
         normal=(nu, nv),

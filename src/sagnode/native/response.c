@@ -5,7 +5,7 @@
 #include <math.h>
 #include <string.h>
 
-enum { CHUNK = 64, CLIP = 24 };
+enum { CHUNK = 64, CLIP = 24, MOST_STEPS = 16 };
 
 typedef struct {
     const uint8_t *at;
@@ -110,6 +110,34 @@ static void respond(const picture *image, const float *u, const float *v, const 
     }
 }
 
+/* The same for one line whose middle is the sample and whose sides are `away` steps of the band from there, where the
+   band's places are one step apart: each place's sides are among the other places. */
+FOR_EACH_PROCESSOR
+static void respond_in_steps(const picture *image, const float *u, const float *v, const float *nu, const float *nv,
+                             float first, float step, int bands, int away, int count, int16_t *best)
+{
+    int16_t profile[MOST_STEPS][CHUNK];
+    float at_u[CHUNK], at_v[CHUNK];
+    for (int j = 0; j < bands + 2 * away; j++) {
+        float across = first + (float)(j - away) * step;
+        for (int k = 0; k < count; k++) {
+            at_u[k] = u[k] + across * nu[k];
+            at_v[k] = v[k] + across * nv[k];
+        }
+        grey(image, at_u, at_v, count, profile[j]);
+    }
+    for (int k = 0; k < count; k++)
+        best[k] = -CLIP;
+    for (int b = 0; b < bands; b++) {
+        const int16_t *left = profile[b], *centre = profile[b + away], *right = profile[b + 2 * away];
+        for (int k = 0; k < count; k++) {
+            int16_t dark = least(left[k], right[k]) - centre[k];
+            int16_t bright = centre[k] - most(left[k], right[k]);
+            best[k] = most(best[k], least(most(dark, bright), CLIP));
+        }
+    }
+}
+
 /* What both functions are asked with. */
 typedef struct {
     picture image;
@@ -156,6 +184,29 @@ static int ask(arrays *all, PyObject *const *words, question *q)
 /* Where an axis of length 1 stands for all. */
 static Py_ssize_t along(const array *of, int axis) { return of->shape[axis] == 1 ? 0 : of->step[axis]; }
 
+/* How many steps of the band the sides of all samples of a chunk are from their middles; 0 where that does not hold. */
+static int steps_away(const question *q, const float *band, int lines, const float *places, const float *sides, int count)
+{
+    int bands = (int)q->band.shape[0];
+    if (lines != 1 || bands < 3)
+        return 0;
+    const char *at = (const char *)band;
+    float first = *band, step = *(const float *)(at + q->band.step[0]) - first;
+    for (int b = 2; b < bands; b++)
+        if (!(fabsf(*(const float *)(at + b * q->band.step[0]) - first - (float)b * step) < 1e-4f))
+            return 0;
+    float steps = step > 0 ? sides[0] / step : 0.0f;
+    if (!(steps > 0.5f && steps < (float)(MOST_STEPS - bands) / 2))
+        return 0;
+    int away = (int)(steps + 0.5f);
+    if (bands + 2 * away > MOST_STEPS)
+        return 0;
+    for (int k = 0; k < count; k++)
+        if (places[k] != 0.0f || !(fabsf(sides[k] - (float)away * step) < 1e-4f))
+            return 0;
+    return away;
+}
+
 /* Responses of one row's chunk from column `start`, and which of its samples are in the frame with all their sides. */
 static void chunk(const question *q, Py_ssize_t i, Py_ssize_t start, int count, int16_t *best, uint8_t *seen)
 {
@@ -193,7 +244,13 @@ static void chunk(const question *q, Py_ssize_t i, Py_ssize_t start, int count, 
         return;
     }
     const float *band = (const float *)(q->band.at + i * along(&q->band, 1));
-    respond(&q->image, u, v, nu, nv, places, sides, lines, band, q->band.step[0], (int)q->band.shape[0], count, best);
+    int bands = (int)q->band.shape[0], away = steps_away(q, band, lines, places, sides, count);
+    if (away > 0) {
+        float second = *(const float *)((const char *)band + q->band.step[0]);
+        respond_in_steps(&q->image, u, v, nu, nv, band[0], second - band[0], bands, away, count, best);
+        return;
+    }
+    respond(&q->image, u, v, nu, nv, places, sides, lines, band, q->band.step[0], bands, count, best);
 }
 
 PyObject *response(PyObject *module, PyObject *const *words, Py_ssize_t count)
