@@ -15,6 +15,7 @@ from typing import Any
 from performance.frames import NAMES, shot
 from performance.node import write_node
 from performance.plan import Plan
+from sagnode import native
 
 CHILD = Path(__file__).with_name("child.py")
 TURNS = 2
@@ -22,9 +23,16 @@ TURNS = 2
 
 
 def measure(plan: Plan) -> dict[str, Any]:
-    """By view: both times and how far the numbers are apart; ``compiled``: whether there are kernels at all."""
+    """By view: both times and how far the numbers are apart; ``compiled``: whether this process has kernels at all.
+
+    Raises:
+        RuntimeError: new processes have them where this one has not, or the other way round.
+    """
     views = {name: _both(plan, name) for name in NAMES}
-    return {"compiled": all(row["compiled"] for row in views.values()), "views": views}
+    compiled = native.kernels is not None
+    if any(row["compiled"] != compiled for row in views.values()):
+        raise RuntimeError("the source or its compiled part has changed since this run began: run it again")
+    return {"compiled": compiled, "views": views}
 
 
 def _both(plan: Plan, name: str) -> dict[str, Any]:
