@@ -25,7 +25,7 @@ import numpy as np
 from appearances_report import Outcome, document
 from groups import groups_by_name
 from sagnode.capture.port import GreyImage
-from sagnode.estimate.joint import LandmarkObservations, solve_camera
+from sagnode.estimate.camera import LandmarkObservations, solve_camera
 from sagnode.estimate.judge import look
 from sagnode.estimate.register import Registered, moved_survey, register
 from sagnode.estimate.remember import remember

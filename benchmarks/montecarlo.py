@@ -24,7 +24,8 @@ import numpy as np
 
 from groups import groups_by_name
 from run import REPORT_SEED, ROOT
-from sagnode.estimate.joint import CurveObservations, LandmarkObservations, correlated_error, solve, solve_camera
+from sagnode.estimate.camera import LandmarkObservations, solve_camera
+from sagnode.estimate.joint import CurveObservations, correlated_error, solve
 from sagnode.estimate.locate import locate
 from sagnode.estimate.matched import Matched
 from sagnode.estimate.register import Registered, register

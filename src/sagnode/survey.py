@@ -12,6 +12,7 @@ Unknowns θ, all small corrections to the survey but sag, swing and load::
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,6 +49,12 @@ class Survey:
     """Of each term of an uneven load, relative to the mean load; 0 takes the load for even."""
     swing_mean: float = 0.0
     """Swing that is expected, rad: none, unless the other conductors of the span say so."""
+
+    @cached_property
+    def packed(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """The surveyed camera, as compiled functions take it: lens, rotation (3, 3) and position (3,)."""
+        rotation, position = (np.asarray(part, dtype=np.float64) for part in (self.pose.rotation, self.pose.position))
+        return self.intrinsics.packed, rotation, position
 
     def prior_sigma(self) -> FloatArray:
         """Standard uncertainties of θ (28,); sag has a prior so wide that it says nothing within its range."""

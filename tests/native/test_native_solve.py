@@ -7,8 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from sagnode.estimate import camera as estimate_camera
 from sagnode.estimate import joint
-from sagnode.estimate.joint import CameraKnowledge, CurveObservations, curve_terms, curve_uncertainty, solve
+from sagnode.estimate.camera import CameraKnowledge, LandmarkObservations, solve_camera
+from sagnode.estimate.joint import CurveObservations, curve_terms, curve_uncertainty, solve
 from sagnode.geometry import camera, conductor
 from sagnode.geometry.camera import Intrinsics, Pose, project, rotation_from_angles
 from sagnode.native import kernels
@@ -66,7 +68,7 @@ def question(seed, lens="pinhole", count=None):
 
 def in_numpy(asked):
     with pytest.MonkeyPatch.context() as patch:
-        for room in (joint, camera, conductor):
+        for room in (joint, estimate_camera, camera, conductor):
             patch.setattr(room, "kernels", None)
         return asked()
 
@@ -104,6 +106,42 @@ def test_the_estimate_is_that_of_numpy(lens, seed, iterations):
         np.testing.assert_allclose(getattr(found, name), getattr(expected, name), rtol=1e-6, atol=1e-6)
     for mine, theirs in zip(found.noise, expected.noise, strict=True):
         np.testing.assert_allclose(mine, theirs, rtol=1e-6)
+
+
+@pytest.mark.parametrize("lens", LENSES)
+@settings(max_examples=50, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.integers(0, 12), st.integers(1, 10))
+def test_the_camera_is_that_of_numpy(lens, seed, count, iterations):
+    survey, theta, _, _ = question(seed, lens)
+    rng = np.random.default_rng(seed)
+    intrinsics, pose = survey.camera(theta)
+    positions = pose.position + 20 * rng.normal([0, 0, 4], 1, (count, 3)) @ pose.rotation
+    pixels = project(intrinsics, pose, positions)[0] + rng.normal(0, 1, (count, 2)) * rng.choice([0.3, 30], (count, 1))
+    seen = LandmarkObservations(positions, rng.uniform(0, 0.1, count), pixels, rng.uniform(0.1, 1, count))
+    found, expected = solve_camera(survey, seen, iterations), in_numpy(lambda: solve_camera(survey, seen, iterations))
+    sigma = survey.prior_sigma()
+    np.testing.assert_allclose(found.theta / sigma, expected.theta / sigma, rtol=1e-9, atol=1e-6)
+    size = 1 / sigma[:10]
+    scaled = [each.knowledge.precision / np.outer(size, size) for each in (found, expected)]
+    np.testing.assert_allclose(scaled[0], scaled[1], rtol=1e-6, atol=1e-6 * np.abs(scaled[1]).max(initial=0.0))
+    scaled = [each.knowledge.vector / size for each in (found, expected)]
+    np.testing.assert_allclose(scaled[0], scaled[1], rtol=1e-6, atol=1e-6 * np.abs(scaled[1]).max(initial=0.0))
+    for name in ("residual", "weight", "z"):
+        np.testing.assert_allclose(getattr(found, name), getattr(expected, name), rtol=1e-6, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("place", "other", "words"),
+    [(3, np.zeros(3), "theta"), (6, np.zeros(3), "positions"), (9, np.zeros(3), "settings"), (10, 0, "iterations")],
+)
+def test_landmarks_that_do_not_fit_are_refused(place, other, words):
+    survey, theta, _, _ = question(1)
+    asked = [*survey.packed, theta, np.ones(10), np.ones((2, 3)), np.ones(2), np.zeros((2, 2)), np.ones(2)]
+    asked += [np.ones(2), 3, np.zeros((10, 10)), np.zeros(10), np.zeros((2, 2)), np.zeros(2)]
+    kernels.solve_camera(*asked)
+    asked[place] = other
+    with pytest.raises(ValueError, match=words):
+        kernels.solve_camera(*asked)
 
 
 def test_offsets_out_of_order_are_solved_all_the_same():

@@ -5,8 +5,7 @@ tracked landmarks and offsets of the wire across the predicted curve, px. With J
 covariances, Gauss-Newton steps, shortened where they go farther than the prior allows, minimise
 ``Σ rᵀC⁻¹r + (θ-θ₀)ᵀP⁻¹(θ-θ₀)``; the posterior covariance is ``(Σ JᵀC⁻¹J + P⁻¹)⁻¹``. What does not settle says so.
 
-Landmarks know nothing but the camera, and all conductors of a frame share them: :func:`solve_camera` is asked once a
-frame, and hands on what the landmarks say as a quadratic form that :func:`solve` adds to the prior of each conductor.
+What landmarks say (:mod:`sagnode.estimate.camera`) comes as a quadratic form that is added to each conductor's prior.
 """
 
 from __future__ import annotations
@@ -18,6 +17,8 @@ from typing import Any
 
 import numpy as np
 
+from sagnode.estimate.camera import CameraKnowledge
+from sagnode.estimate.steps import SETTLED, robust_weights, solve_scaled, step_length
 from sagnode.geometry.camera import FloatArray, project, projection_derivatives
 from sagnode.geometry.conductor import conductor_derivatives, gravity_direction, load_shapes
 from sagnode.match.robust import median
@@ -29,10 +30,8 @@ CORRELATED_PX = 0.03
 CORRELATED_SHARE = 0.7
 """The same, relative to an offset's own: what makes a block uncertain, texture behind it, reaches over to the next."""
 CORRELATION_LENGTH_PX = 60.0
-CAUCHY_LANDMARK, CAUCHY_CURVE = 3.5, 2.5
-"""Standardised residuals at which an observation counts half."""
-SETTLED = 0.01
-"""A step of less than this share of a standard uncertainty is the last."""
+CAUCHY_CURVE = 2.5
+"""Standardised residual at which an offset counts half."""
 ANEW = 0.5
 """A step of more than this many standard uncertainties makes the derivatives be taken anew."""
 SHAPE = slice(10, 18)
@@ -53,56 +52,6 @@ SOURCES = {
     "load prior": LOAD,
 }
 """The prior's sources of uncertainty, by their unknowns."""
-
-
-@dataclass(frozen=True)
-class LandmarkObservations:
-    """Landmarks seen: surveyed positions (N, 3) with uncertainty (N,) m, pixels (N, 2) with uncertainty (N,) px."""
-
-    positions: FloatArray
-    position_u: FloatArray
-    pixels: FloatArray
-    pixel_u: FloatArray
-
-    @property
-    def count(self) -> int:
-        """How many."""
-        return len(self.positions)
-
-
-@dataclass(frozen=True)
-class CameraKnowledge:
-    """What landmarks say about the camera's unknowns x (10,): they add ``xᵀAx - 2bᵀx`` to the misfit.
-
-    Attributes:
-        precision: A (10, 10).
-        vector: b (10,).
-    """
-
-    precision: FloatArray
-    vector: FloatArray
-
-
-NOTHING_KNOWN = CameraKnowledge(np.zeros((10, 10)), np.zeros(10))
-
-
-@dataclass(frozen=True)
-class CameraSolution:
-    """The camera as landmarks and survey show it.
-
-    Attributes:
-        theta: estimate (28,), nothing but the camera moved from the prior's mean.
-        knowledge: what the landmarks say, without the prior.
-        residual: of the landmarks, px (N, 2).
-        weight: their robust weights (N,).
-        z: root mean square of the residuals over their standard uncertainties.
-    """
-
-    theta: FloatArray
-    knowledge: CameraKnowledge
-    residual: FloatArray
-    weight: FloatArray
-    z: float
 
 
 @dataclass(frozen=True)
@@ -184,45 +133,6 @@ class Solution:
         return pieces
 
 
-def solve_camera(survey: Survey, landmarks: LandmarkObservations, iterations: int = 10) -> CameraSolution:
-    """The camera's pose and lens from landmarks, with the survey as the prior; ten unknowns."""
-    sigma0 = survey.prior_sigma()[CAMERA]
-    theta = survey.prior_mean()
-    prior = np.diag(1 / sigma0**2)
-    weight = np.ones(landmarks.count)
-    for step_number in range(iterations):
-        residual, jacobian, inverse = _landmark_terms(survey, theta, landmarks)
-        squared = np.einsum("ni,nij,nj->n", residual, inverse, residual)
-        weight = _robust(squared, CAUCHY_LANDMARK)
-        weighted = np.einsum("nik,nij->nkj", jacobian, inverse * weight[:, None, None])
-        precision = np.einsum("nkj,njl->kl", weighted, jacobian)
-        pull = np.einsum("nkj,nj->k", weighted, residual)
-        step, posterior = _scaled_solve(precision + prior, pull - theta[CAMERA] / sigma0**2)
-        if step_number >= 2 and _length(step, posterior) < SETTLED:
-            break
-        ratio = float(np.max(np.abs(step) / (3 * sigma0)))
-        theta[CAMERA] += step / max(1.0, ratio)
-    residual, jacobian, inverse = _landmark_terms(survey, theta, landmarks)
-    squared = np.einsum("ni,nij,nj->n", residual, inverse, residual)
-    weighted = np.einsum("nik,nij->nkj", jacobian, inverse * weight[:, None, None])
-    precision = np.einsum("nkj,njl->kl", weighted, jacobian)
-    vector = precision @ theta[CAMERA] + np.einsum("nkj,nj->k", weighted, residual)
-    z = float(np.sqrt(np.sum(weight * squared) / (2 * max(float(weight.sum()), 1e-9))))
-    return CameraSolution(theta, CameraKnowledge(precision, vector), residual, weight, z)
-
-
-def _landmark_terms(
-    survey: Survey, theta: FloatArray, seen: LandmarkObservations
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Residuals (N, 2), derivatives (N, 2, 10) and inverse covariances (N, 2, 2) of the landmarks."""
-    intrinsics, pose = survey.camera(theta)
-    residual = seen.pixels - project(intrinsics, pose, seen.positions)[0]
-    by_point, by_camera = projection_derivatives(intrinsics, pose, seen.positions)
-    covariance = np.einsum("nik,njk->nij", by_point, by_point) * (seen.position_u**2)[:, None, None]
-    covariance += np.eye(2) * (seen.pixel_u**2)[:, None, None]
-    return residual, by_camera, np.linalg.inv(covariance)
-
-
 def curve_residual(survey: Survey, theta: FloatArray, curve: CurveObservations) -> FloatArray:
     """Residuals (M,) of the offsets across the curve."""
     intrinsics, pose = survey.camera(theta)
@@ -262,26 +172,6 @@ def correlated_error(arc: FloatArray, sigma: FloatArray) -> FloatArray:
     distance = np.abs(arc[:, None] - arc[None, :])
     shared = np.hypot(CORRELATED_PX, CORRELATED_SHARE * sigma)
     return np.asarray(shared[:, None] * shared * np.exp(-distance / CORRELATION_LENGTH_PX))
-
-
-def _robust(z2: FloatArray, limit: float) -> FloatArray:
-    """Cauchy weights of squared standardised residuals."""
-    return np.asarray(1.0 / (1.0 + z2 / limit**2))
-
-
-def _scaled_solve(matrix: FloatArray, vector: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Solution of a normal equation whose unknowns have very different sizes, and the inverse of its matrix."""
-    scale = 1 / np.sqrt(np.diag(matrix))
-    both = scale[:, None] * scale
-    scaled = matrix * both
-    scaled[np.diag_indices_from(scaled)] += 1e-9
-    inverse = np.linalg.inv(scaled)
-    return np.asarray(scale * (inverse @ (scale * vector))), np.asarray(inverse * both)
-
-
-def _length(step: FloatArray, covariance: FloatArray) -> float:
-    """Greatest part of a step (n,), in standard uncertainties of a covariance (n, n)."""
-    return float(np.max(np.abs(step) / np.sqrt(np.diag(covariance))))
 
 
 def solve(
@@ -355,11 +245,9 @@ def _solve_compiled(compiled: ModuleType, asked: _Question) -> Solution:
 
 def _words(survey: Survey, theta: FloatArray, curve: CurveObservations) -> tuple[Any, ...]:
     """Survey, θ and offsets, as compiled functions take them."""
-    pose = survey.pose
-    places = (pose.rotation, pose.position, survey.near, survey.far)
-    own = (survey.intrinsics.packed, *(np.asarray(part, dtype=np.float64) for part in places))
+    ends = (np.asarray(part, dtype=np.float64) for part in (survey.near, survey.far))
     seen = (theta, curve.t, curve.normal, curve.measured)
-    return (*own, *(np.ascontiguousarray(part, dtype=np.float64) for part in seen))
+    return (*survey.packed, *ends, *(np.ascontiguousarray(part, dtype=np.float64) for part in seen))
 
 
 def _solve(asked: _Question) -> Solution:
@@ -375,18 +263,18 @@ def _solve(asked: _Question) -> Solution:
     residual, jacobian = curve_terms(survey, theta, curve)
     for step_number in range(asked.iterations):
         spread = max(1.4826 * median(np.abs(residual)), 1e-3) if step_number < 2 else 0.0
-        weight = _robust(residual**2 / (expected + spread**2), CAUCHY_CURVE)
+        weight = robust_weights(residual**2 / (expected + spread**2), CAUCHY_CURVE)
         noise = white / np.maximum(weight, 1e-6)
         inflation = _inflation(residual, noise + shared, weight)
         own = jacobian[:, free]
         together = correlated.copy()
         together[diagonal] += noise
         gain = np.linalg.solve(together, np.column_stack([own, residual])).T @ own / inflation
-        step, posterior = _scaled_solve(known_free + gain[:-1], target_free - known_free @ theta[free] + gain[-1])
+        step, posterior = solve_scaled(known_free + gain[:-1], target_free - known_free @ theta[free] + gain[-1])
         theta[free] += step / max(1.0, float(np.max(np.abs(step) / asked.longest)))
         theta[SAG] = min(max(theta[SAG], sag_low), sag_high)
         theta[SWING] = min(max(theta[SWING], swing_low), swing_high)
-        length = _length(step, posterior)
+        length = step_length(step, posterior)
         if length > ANEW:
             residual, jacobian = curve_terms(survey, theta, curve)
         else:

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sagnode.estimate.joint import LandmarkObservations, solve_camera
+from sagnode.estimate.camera import LandmarkObservations, solve_camera
 from sagnode.geometry.camera import FloatArray, project, projection_derivatives
 from sagnode.site import Site
 from sagnode.survey import CAMERA, Survey

@@ -9,7 +9,7 @@ from datetime import datetime
 import numpy as np
 
 from sagnode.capture.port import GreyImage
-from sagnode.estimate.joint import NOTHING_KNOWN, CameraKnowledge, CameraSolution, LandmarkObservations, solve_camera
+from sagnode.estimate.camera import NOTHING_KNOWN, CameraKnowledge, CameraSolution, LandmarkObservations, solve_camera
 from sagnode.estimate.recognise import recognise
 from sagnode.geometry.camera import FloatArray
 from sagnode.match.appearances import Appearances

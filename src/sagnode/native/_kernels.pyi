@@ -213,6 +213,30 @@ def curve_terms(
     of theta are unknown, 18 or 28.
     """
 
+def solve_camera(
+    lens: Array,
+    rotation: Array,
+    position: Array,
+    theta: Array,
+    sigma: Array,
+    positions: Array,
+    position_u: Array,
+    pixels: Array,
+    pixel_u: Array,
+    settings: Array,
+    iterations: int,
+    precision: Array,
+    vector: Array,
+    residual: Array,
+    weight: Array,
+) -> float:
+    """:func:`sagnode.estimate.camera.solve_camera` from theta (28,), which it moves; z.
+
+    sigma (10,) is the prior's; positions (N, 3) and pixels (N, 2) with their uncertainties (N,) are the landmarks;
+    settings are what residual counts half and what step is the last. Results go into theta, precision (10, 10), vector
+    (10,), residual (N, 2) and weight (N,).
+    """
+
 def solve(
     lens: Array,
     rotation: Array,

@@ -55,6 +55,7 @@ PyObject *stand_out(PyObject *module, PyObject *const *words, Py_ssize_t count);
 PyObject *curve_points(PyObject *module, PyObject *const *words, Py_ssize_t count);
 PyObject *project(PyObject *module, PyObject *const *words, Py_ssize_t count);
 PyObject *curve_terms(PyObject *module, PyObject *const *words, Py_ssize_t count);
+PyObject *solve_camera(PyObject *module, PyObject *const *words, Py_ssize_t count);
 PyObject *solve(PyObject *module, PyObject *const *words, Py_ssize_t count);
 PyObject *quantities(PyObject *module, PyObject *const *words, Py_ssize_t count);
 PyObject *clearance_place_u(PyObject *module, PyObject *const *words, Py_ssize_t count);

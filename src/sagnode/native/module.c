@@ -64,6 +64,7 @@ static PyMethodDef functions[] = {
     {"curve_points", (PyCFunction)(void (*)(void))curve_points, METH_FASTCALL, NULL},
     {"project", (PyCFunction)(void (*)(void))project, METH_FASTCALL, NULL},
     {"curve_terms", (PyCFunction)(void (*)(void))curve_terms, METH_FASTCALL, NULL},
+    {"solve_camera", (PyCFunction)(void (*)(void))solve_camera, METH_FASTCALL, NULL},
     {"solve", (PyCFunction)(void (*)(void))solve, METH_FASTCALL, NULL},
     {"quantities", (PyCFunction)(void (*)(void))quantities, METH_FASTCALL, NULL},
     {"clearance_place_u", (PyCFunction)(void (*)(void))clearance_place_u, METH_FASTCALL, NULL},
@@ -71,7 +72,7 @@ static PyMethodDef functions[] = {
 };
 
 /* Bump with every change of a function's arguments or meaning: see INTERFACE in __init__.py. */
-#define INTERFACE 7
+#define INTERFACE 8
 
 static int fill(PyObject *module) { return PyModule_AddIntConstant(module, "INTERFACE", INTERFACE); }
 

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sagnode.config.span import Span
-from sagnode.estimate.joint import NOTHING_KNOWN, LandmarkObservations, solve_camera
+from sagnode.estimate.camera import NOTHING_KNOWN, LandmarkObservations, solve_camera
 from sagnode.estimate.judge import judge
 from sagnode.estimate.locate import locate
 from sagnode.estimate.matched import Matched, visible_share

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sagnode.estimate.joint import CameraKnowledge, LandmarkObservations, solve_camera
+from sagnode.estimate.camera import CameraKnowledge, LandmarkObservations, solve_camera
 from sagnode.estimate.matched import Matched
 from sagnode.estimate.tell import propagate
 from sagnode.geometry.camera import FloatArray
