@@ -5,8 +5,8 @@
 
 With today's advisories, by pip-audit, which asks PyPI (it is installed into build/audit the first time); or, without
 the network, with those in a checkout of https://github.com/pypa/advisory-database. REQUIREMENTS are requirements files
-of pip with exact versions (default: what units get, deploy/requirements-*.txt). Exit code 1 when a pinned version is
-affected, 2 when that could not be found out for every one of them.
+of pip with exact versions (default: what units get and packages are built with, deploy/requirements-*.txt). Exit code 1
+when a pinned version is affected, 2 when that could not be found out for every one of them.
 """
 
 from __future__ import annotations
