@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sagnode.match import masks, standing
+from sagnode.match import masks, sight, standing
 from sagnode.match.localise import Beside, Blocks
 from sagnode.match.ribbon import arc_length, normals
 from sagnode.match.track import Track
@@ -100,3 +100,31 @@ def test_what_does_not_fit_is_refused():
         kernels.stand_out(*asked, np.zeros(5, dtype=bool))
     with pytest.raises(ValueError, match="two places"):
         kernels.stand_out(*asked[:5], beside[:1], beside[:1] > 0, *asked[7:], masked.copy())
+
+
+@settings(max_examples=150, deadline=None)
+@given(st.integers(0, 2**32 - 1))
+def test_windows_stand_out_where_they_do_in_numpy(seed):
+    rng = np.random.default_rng(seed)
+    rows, count = int(rng.choice([1, 5, 7, 8, 35])), int(rng.integers(1, 300))
+    response = rng.integers(-24, 25, (rows, count)).astype(np.float32)
+    response[0] += rng.integers(0, 12)
+    gone = rng.integers(0, count + 1, 2)
+    response[rng.uniform(size=rows) < 0.3, gone.min() : gone.max()] = np.nan
+    arc = np.cumsum(rng.uniform(0.5, 4, count))
+    t = np.linspace(0.1, rng.uniform(0.1, 1), count)[:: (1, -1)[seed % 2]]
+    asked = (response, np.ascontiguousarray(t), arc)
+    found, expected = sight.compared(*asked), in_numpy(sight, sight.compared, *asked)
+    assert found.score == pytest.approx(expected.score, rel=1e-6)
+    assert (found.judged, found.outstanding) == (expected.judged, expected.outstanding)
+    np.testing.assert_array_equal(found.seen, expected.seen)
+
+
+def test_curves_that_do_not_fit_are_refused():
+    line, seen = np.zeros(4), np.zeros(4, dtype=bool)
+    kernels.sight(np.zeros((3, 4), dtype=np.float32), line, line, seen)
+    for shape in ((0, 4), (257, 4), (3, 5)):
+        with pytest.raises(ValueError, match="response"):
+            kernels.sight(np.zeros(shape, dtype=np.float32), line, line, seen)
+    with pytest.raises(TypeError, match="response"):
+        kernels.sight(np.zeros((3, 4)), line, line, seen)

@@ -126,6 +126,12 @@ def stand_out(
     and inside (S, M) bool, all without gaps.
     """
 
+def sight(response: Array, t: Array, arc: Array, seen: Array) -> tuple[float, int, int]:
+    """:func:`sagnode.match.sight.compared`: score, windows judged and outstanding; samples into seen (N,) bool.
+
+    response (K, N), K up to 256, is single precision, t and arc (N,) are double precision, all without gaps.
+    """
+
 # What is measured below is double precision. A camera is told by sagnode.geometry.camera.Intrinsics.packed (17,), the
 # rotation (3, 3) and position (3,) of its pose; a conductor by near (3,), far (3,), sag, swing and load (K,).
 

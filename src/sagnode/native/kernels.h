@@ -54,6 +54,7 @@ PyObject *folds_back(PyObject *module, PyObject *const *words, Py_ssize_t count)
 PyObject *stand_out(PyObject *module, PyObject *const *words, Py_ssize_t count);
 PyObject *curve_points(PyObject *module, PyObject *const *words, Py_ssize_t count);
 PyObject *project(PyObject *module, PyObject *const *words, Py_ssize_t count);
+PyObject *sight(PyObject *module, PyObject *const *words, Py_ssize_t count);
 PyObject *curve_terms(PyObject *module, PyObject *const *words, Py_ssize_t count);
 PyObject *solve_camera(PyObject *module, PyObject *const *words, Py_ssize_t count);
 PyObject *solve(PyObject *module, PyObject *const *words, Py_ssize_t count);

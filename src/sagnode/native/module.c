@@ -63,6 +63,7 @@ static PyMethodDef functions[] = {
     {"stand_out", (PyCFunction)(void (*)(void))stand_out, METH_FASTCALL, NULL},
     {"curve_points", (PyCFunction)(void (*)(void))curve_points, METH_FASTCALL, NULL},
     {"project", (PyCFunction)(void (*)(void))project, METH_FASTCALL, NULL},
+    {"sight", (PyCFunction)(void (*)(void))sight, METH_FASTCALL, NULL},
     {"curve_terms", (PyCFunction)(void (*)(void))curve_terms, METH_FASTCALL, NULL},
     {"solve_camera", (PyCFunction)(void (*)(void))solve_camera, METH_FASTCALL, NULL},
     {"solve", (PyCFunction)(void (*)(void))solve, METH_FASTCALL, NULL},
@@ -72,7 +73,7 @@ static PyMethodDef functions[] = {
 };
 
 /* Bump with every change of a function's arguments or meaning: see INTERFACE in __init__.py. */
-#define INTERFACE 8
+#define INTERFACE 9
 
 static int fill(PyObject *module) { return PyModule_AddIntConstant(module, "INTERFACE", INTERFACE); }
 
