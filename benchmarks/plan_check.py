@@ -29,6 +29,7 @@ from sagnode.pipeline import load_site, measure_burst
 from sagnode.plan.camera import PlannedCamera
 from sagnode.plan.foresee import LEVELS, Foreseen, foresee, states_at
 from sagnode.plan.frame import Backdrop, Look
+from sagnode.quality import Validity
 from sagnode.scene.catenary import WireState
 from sagnode.scene.render import render
 from sagnode.scene.truth import true_quantities
@@ -60,10 +61,11 @@ def main() -> int:
             f"Written by `python benchmarks/plan_check.py --groups {options.groups} --worlds {options.worlds} --seed"
             f" {options.seed}`; do not edit. *plan*: standard uncertainty that `sagnode plan` foretells from the survey"
             " alone, in the middle of the possible sags in calm air, mm; before a plain sky (*sky*) and before country"
-            " (in the laboratory: clutter). The other columns are over worlds drawn from the stated uncertainties, with"
-            " sags, wind and weather, each with a plan for its own sag and swing. *stated/plan*: median of what the"
-            " node states over that plan, and the range of the middle 80 %. *error/plan*: root mean square of the true"
-            " errors, each over its plan. *told*: readings with a number."
+            " (in the laboratory: clutter), in brackets the causes for which the plan calls it doubtful. The other"
+            " columns are over worlds drawn from the stated uncertainties, with sags, wind and weather, each with a"
+            " plan for its own sag and swing. *stated/plan*: median of what the node states over that plan, and the"
+            " range of the middle 80 %. *error/plan*: root mean square of the true errors, each over its plan. *told*:"
+            " readings with a number."
         ),
         "",
         "| group | conductor | quantity | plan, sky | plan | stated/plan | error/plan | told |",
@@ -124,9 +126,18 @@ def _rows(name: str, view: View, found: list[Compared]) -> Iterator[str]:
         plan = _plan(span, states, _backdrop(view))
     for best, one in zip(sky, plan, strict=True):
         for stem in STEMS:
-            both = ("-" if stem not in f.estimates else f"{1000 * f.estimates[stem].u:.2f}" for f in (best, one))
+            both = (_planned(f, stem) for f in (best, one))
             own = (c for c in found if (c.conductor, c.stem) == (one.conductor, stem))
             yield f"| {' | '.join([name, one.conductor, stem, *both, *_summary(own)])} |"
+
+
+def _planned(one: Foreseen, stem: str) -> str:
+    """What is planned for, and why it would not be good."""
+    if stem not in one.estimates:
+        return "-"
+    causes = ", ".join(dict.fromkeys(reason.cause.value for reason in one.reasons))
+    doubts = "" if one.validity is Validity.GOOD else f" ({causes})"
+    return f"{1000 * one.estimates[stem].u:.2f}{doubts}"
 
 
 def _summary(found: Iterable[Compared]) -> tuple[str, str, str]:
