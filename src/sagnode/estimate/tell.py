@@ -5,6 +5,8 @@ The law of propagation (JCGM 100): with g the derivatives of a quantity by θ, `
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from sagnode.estimate.judge import judge
@@ -131,7 +133,7 @@ def propagate(
             parts["ground"] = clearance_place_u(survey.shape(theta), site.ground) ** 2
         u = float(np.sqrt(sum(parts.values())))
         estimates[stem] = Estimate(value, u, value - K95 * u, value + K95 * u)
-        budget[stem] = {name: float(np.sqrt(max(part, 0.0))) for name, part in parts.items()}
+        budget[stem] = {name: math.sqrt(max(part, 0.0)) for name, part in parts.items()}
     return estimates, budget
 
 

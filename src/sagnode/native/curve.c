@@ -311,20 +311,34 @@ PyObject *curve_visible(PyObject *module, PyObject *const *words, Py_ssize_t cou
     return PyLong_FromSsize_t(found);
 }
 
+/* The unit normal to a step. */
+static inline void across(double along, double down, double *normal)
+{
+    double shorten = 1 / sqrt(along * along + down * down);
+    normal[0] = down * -shorten;
+    normal[1] = along * shorten;
+}
+
 /* Unit normals of a polyline by central differences, and the length along it. */
+FOR_EACH_PROCESSOR
 static void measure(const double *pixels, Py_ssize_t count, double *normal, double *arc)
 {
-    double length = 0.0;
-    for (Py_ssize_t k = 0; k < count; k++) {
-        const double *before = pixels + 2 * (k > 0 ? k - 1 : k), *after = pixels + 2 * (k < count - 1 ? k + 1 : k);
-        double along = after[0] - before[0], down = after[1] - before[1];
-        double shorten = 1 / sqrt(along * along + down * down);
-        normal[2 * k] = down * -shorten;
-        normal[2 * k + 1] = along * shorten;
-        if (k > 0)
-            length += hypot(pixels[2 * k] - before[0], pixels[2 * k + 1] - before[1]);
-        arc[k] = length;
+    for (Py_ssize_t k = 1; k < count - 1; k++) {
+        const double *at = pixels + 2 * k;
+        across(at[2] - at[-2], at[3] - at[-1], normal + 2 * k);
     }
+    for (Py_ssize_t k = 1; k < count; k++) {
+        double u = pixels[2 * k] - pixels[2 * k - 2], v = pixels[2 * k + 1] - pixels[2 * k - 1];
+        arc[k] = sqrt(u * u + v * v);
+    }
+    if (count == 0)
+        return;
+    Py_ssize_t end = count - 1, inner = end > 0 ? end - 1 : 0, second = end > 0 ? 1 : 0;
+    across(pixels[2 * second] - pixels[0], pixels[2 * second + 1] - pixels[1], normal);
+    across(pixels[2 * end] - pixels[2 * inner], pixels[2 * end + 1] - pixels[2 * inner + 1], normal + 2 * end);
+    arc[0] = 0.0;
+    for (Py_ssize_t k = 1; k < count; k++)
+        arc[k] += arc[k - 1];
 }
 
 PyObject *curve_track(PyObject *module, PyObject *const *words, Py_ssize_t count)
