@@ -23,7 +23,7 @@ def write_report(load: Callable[[str], Part | None], out: Path) -> list[Path]:
     """
     parts = {name: load(name) for name in ("speed", "accuracy", "memory", "soak", "idle", "profile")}
     measured = {name: part for name, part in parts.items() if part is not None}
-    sections = ["# Performance", "", _head(measured)]
+    sections = ["# Performance", "", _head(measured), ""]
     out.mkdir(parents=True, exist_ok=True)
     written = [out / "performance.md"]
     if "speed" in measured:
@@ -32,7 +32,7 @@ def write_report(load: Callable[[str], Part | None], out: Path) -> list[Path]:
         speed.plot(cases, plot)
         written.append(plot)
         others = {name: part["results"] for name, part in measured.items()}
-        sections += ["", "![Growth](performance.png)", "", speed.targets_section(cases, others)]
+        sections += ["![Growth](performance.png)", "", speed.targets_section(cases, others)]
         sections += [speed.methods_section(cases), speed.stages_section(cases)]
         sections += [speed.native_section(measured["speed"]["results"]["native"]), speed.growth_section(cases)]
     for name, section in (
