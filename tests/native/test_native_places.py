@@ -20,11 +20,11 @@ LENSES = {
 }
 
 
-def both_ways(family, lens, part, sags, swings):
-    compiled = family.placed(lens, part, sags, swings)
+def both_ways(family, lens, part, sags, swings, **of):
+    compiled = family.placed(lens, part, sags, swings, **of)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(room, "kernels", None)
-        return compiled, family.placed(lens, part, sags, swings)
+        return compiled, family.placed(lens, part, sags, swings, **of)
 
 
 @settings(max_examples=60, deadline=None)
@@ -54,12 +54,28 @@ def test_places_are_those_of_numpy(seed, lens):
         np.testing.assert_allclose(own[clear], other[clear], atol=5e-3)
 
 
+@pytest.mark.parametrize("steps", [None, np.array([0.0, 0.3, 0.5, 0.8, 1.3, 2.0], dtype=np.float32)])
+def test_sides_are_those_of_numpy(steps):
+    glass = Intrinsics(1456, 1088, 1500.0, 1490.0, 730.0, 540.0)
+    pose = Pose(rotation_from_angles(0.0, -3.0, 0.0), np.array([2.0, 0.0, 8.0]))
+    view = View(glass, pose, np.array([0.0, 4.0, 12.0]), np.array([0.0, 250.0, 15.0]), 0.03)
+    family = Family.of(view, (2.0, 12.0), np.linspace(0.02, 0.9, 6))
+    grid = (np.linspace(2, 12, 9)[:, None], np.linspace(-0.2, 0.2, 5)[None])
+    compiled, in_numpy = both_ways(family, glass, np.arange(6), *grid, width=0.03 * 1500.0, step=steps)
+    assert np.ptp(in_numpy[4]) > 0.5
+    # a side on the edge between two numbers of steps may go either way
+    same = np.isclose(compiled[4], in_numpy[4], rtol=1e-4)
+    assert same.mean() > 0.97
+
+
 def test_shapes_that_do_not_fit_are_refused():
     single = np.zeros(4, dtype=np.float32)
     grid = np.zeros((2, 4), dtype=np.float32)
-    lens, chord, turn = np.zeros(14), np.zeros((4, 3), dtype=np.float32), np.zeros((3, 3), dtype=np.float32)
-    asked = [chord, single, single, turn, lens, single, single, single, 0, *(grid.copy() for _ in range(5))]
+    lens, chord, turn = np.zeros(17), np.zeros((4, 3), dtype=np.float32), np.zeros((3, 3), dtype=np.float32)
+    steps = single[:2].copy()
+    asked = [chord, single, single, turn, lens, single, single, single, 0, 0.0, steps, *(grid.copy() for _ in range(5))]
     kernels.places(*asked)
-    for place, other in ((8, 3), (8, -1), (4, np.zeros(13)), (13, grid[:, :3].copy()), (1, single[:3].copy())):
+    wrong = ((8, 3), (8, -1), (4, np.zeros(13)), (10, single), (15, grid[:, :3].copy()), (1, single[:3].copy()))
+    for place, other in wrong:
         with pytest.raises(ValueError, match=r"places|lens"):
             kernels.places(*asked[:place], other, *asked[place + 1 :])

@@ -15,6 +15,7 @@ from sagnode.match.bundle import lines
 from sagnode.match.library import Shelf
 from sagnode.match.masks import near_another
 from sagnode.match.ribbon import line_response, normals
+from sagnode.match.robust import percentile
 from sagnode.match.search import Candidate, search
 from sagnode.match.templates import SAMPLES, STEP_PX, View
 from sagnode.match.track import mixed_samples, trace
@@ -119,7 +120,7 @@ def _along_the_valley(image: GreyImage, found: Matched, conductor: SiteConductor
     travel = np.abs(np.sum((pixels(small) - base) * normals(base), axis=1)) / small
     if not np.isfinite(travel).any() or float(np.nanmax(travel)) * reach < 2 * STAGES[0].half_range_px / 3:
         return []
-    count = int(np.clip(2 * reach * float(np.nanpercentile(travel, 95)) / STEP_PX, 9, 300))
+    count = int(np.clip(2 * reach * percentile(travel[np.isfinite(travel)], 95) / STEP_PX, 9, 300))
     amounts = np.linspace(-reach, reach, count)
     sags = theta[SAG] + amounts * direction[SAG]
     amounts = amounts[(sags > low) & (sags < high)]

@@ -13,6 +13,23 @@ RESOLVED_PX = 2.0
 """Two wires whose middles are nearer than this, or whose edges nearly touch, are one line in the picture."""
 CLEAR_PX = 1.5
 """Background that must show between the edges of two wires, and that is taken beside a line's edge."""
+SHORTER_SIDE = 0.3
+"""By which share of a band's step a wire's sides may be looked at nearer to it than elsewhere."""
+LEAST_STEP_PX = 0.5
+
+
+def beside(width: NDArray[Any], step: NDArray[Any] | None = None) -> NDArray[Any]:
+    """How far from the middle of a single line its background is looked at, px (...), by its width, px (...).
+
+    Where a line is looked for in a band, with ``step`` (n,) between its places along the first axis, it is a whole
+    number of steps: the sides of one place are the middles and sides of others.
+    """
+    outside = np.asarray(np.maximum(width.dtype.type(SIDE_OFFSET_PX), 0.5 * width + width.dtype.type(CLEAR_PX)))
+    if step is None:
+        return outside
+    wide = step.reshape(-1, *(1,) * (width.ndim - 1))
+    snapped = wide * np.maximum(np.ceil(outside / np.maximum(wide, LEAST_STEP_PX) - SHORTER_SIDE), 1)
+    return np.asarray(np.where(wide >= LEAST_STEP_PX, snapped, outside), dtype=width.dtype)
 
 
 def lines(members: NDArray[Any], width: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
@@ -26,7 +43,7 @@ def lines(members: NDArray[Any], width: NDArray[Any]) -> tuple[NDArray[Any], NDA
         For each sub-conductor, in rising order, the middle of its line (m, ...) and the distance of the sides from
         that (m, ...), px. No side reaches farther than halfway to the next line.
     """
-    outside = np.maximum(width.dtype.type(SIDE_OFFSET_PX), 0.5 * width + width.dtype.type(CLEAR_PX))
+    outside = beside(width)
     if len(members) == 1:
         return members, outside[None]
     order = np.sort(members, axis=0)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from sagnode.geometry.camera import FloatArray, Intrinsics, distort, project
 from sagnode.geometry.conductor import conductor_points, gravity_direction, loaded_profile
+from sagnode.match.bundle import beside
 from sagnode.match.templates import View
 from sagnode.native import kernels
 
@@ -77,34 +78,38 @@ class Family:
         return _project(lens, *self._points(part, sag, cosine, sine))
 
     def placed(
-        self, lens: Intrinsics, part: NDArray[np.intp], sags: FloatArray, swings: FloatArray
+        self,
+        lens: Intrinsics,
+        part: NDArray[np.intp],
+        sags: FloatArray,
+        swings: FloatArray,
+        width: float = 0.0,
+        step: Grid | None = None,
     ) -> tuple[Grid, Grid, Grid, Grid, Grid]:
         """Pixels u, v, both components of the unit normals, and depth, each (n, K), of samples (n,) without a gap.
 
-        Of as many curves as there are sags and swings when these broadcast, one after the other.
+        Of as many curves as there are sags and swings when these broadcast, one after the other. With the ``width`` of
+        a wire, px at one metre, the distance of its sides (:func:`sagnode.match.bundle.beside`) comes instead of the
+        depth.
         """
         shape = np.broadcast_shapes(sags.shape, swings.shape)
-        turned = (sags, np.cos(swings), np.sin(swings))
-        sag, cosine, sine = (np.broadcast_to(each.astype(np.float32), shape).ravel() for each in turned)
+        grid = np.empty((3, *shape), dtype=np.float32)
+        grid[0], grid[1], grid[2] = sags, np.cos(swings), np.sin(swings)
+        sag, cosine, sine = grid.reshape(3, -1)
         if kernels is not None:
-            u, v, nu, nv, depth = np.empty((5, len(part), len(sag)), dtype=np.float32)
-            curves = (self.chord, self.slope, self.bend, self.turn)
-            kernels.places(*curves, _lens_numbers(lens), sag, cosine, sine, int(part[0]), u, v, nu, nv, depth)
-            return u, v, nu, nv, depth
+            u, v, nu, nv, last = np.empty((5, len(part), len(sag)), dtype=np.float32)
+            steps = np.zeros(len(part), dtype=np.float32) if step is None else step
+            curves = (self.chord, self.slope, self.bend, self.turn, lens.packed, sag, cosine, sine)
+            kernels.places(*curves, int(part[0]), width, steps, u, v, nu, nv, last)
+            return u, v, nu, nv, last
         # a neighbour on either side gives the ends their tangents
         padded = np.arange(max(0, part[0] - 1), min(len(self.chord), part[-1] + 2))
         inner = slice(int(part[0] - padded[0]), int(part[0] - padded[0]) + len(part))
         u, v, depth = _project(lens, *self._points(padded, sag, cosine, sine))
         du, dv = _along(u)[inner], _along(v)[inner]
         shorten = 1 / np.sqrt(np.maximum(du * du + dv * dv, np.float32(1e-9)))
-        return u[inner], v[inner], -dv * shorten, du * shorten, depth[inner]
-
-
-def _lens_numbers(lens: Intrinsics) -> FloatArray:
-    """A lens as the compiled functions take it: fx, fy, cx, cy, reach, model and eight coefficients."""
-    model = 0 if not any(lens.distortion) else 2 if lens.model == "fisheye" else 1
-    coefficients = (*lens.distortion, *(0.0,) * 8)[:8]
-    return np.array([lens.fx, lens.fy, lens.cx, lens.cy, lens.reach, model, *coefficients], dtype=np.float64)
+        last = beside(np.float32(width) / depth[inner], step) if width else depth[inner]
+        return u[inner], v[inner], -dv * shorten, du * shorten, last
 
 
 def _along(values: Grid) -> Grid:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from sagnode.capture.port import GreyImage
 from sagnode.geometry.camera import FloatArray
 from sagnode.match.agreement import LEAST_BASELINE_PX, MOST_SCALED, MOST_TURNED, is_chance
-from sagnode.match.patches import Patch, Peak, peaks
+from sagnode.match.patches import Patch, Peak, equalised, peaks
 
 AGREE_PX = 4.0
 """Landmarks that differ more than this from the shared shift, turn and scale are no longer themselves."""
@@ -114,13 +114,6 @@ def consensus(patches: Sequence[Patch | None], options: Sequence[Sequence[Peak]]
     return {i: (candidates[k][1], candidates[k][2], candidates[k][3]) for i, k in picked.items()}
 
 
-def _equalised(image: GreyImage) -> GreyImage:
-    """Mean 128, standard deviation 40: light and haze change these between two pictures of one thing."""
-    grey = image.astype(np.float32)
-    gain = 40.0 / max(float(grey.std()), 1.0)
-    return np.asarray(np.clip((grey - grey.mean()) * gain + 128.0, 0, 255), dtype=np.uint8)
-
-
 def refine(frame: GreyImage, patch: Patch, peak: Peak) -> tuple[FloatArray, float]:
     """Sub-pixel position (2,) of a landmark near a peak, and its standard uncertainty, px."""
     shift = np.array(peak[:2])
@@ -135,8 +128,8 @@ def refine(frame: GreyImage, patch: Patch, peak: Peak) -> tuple[FloatArray, floa
     window = max(7, (2 * half + 1) - 8)
     start = np.array([[[half, half]]], dtype=np.float32)
     moved, status, _ = cv2.calcOpticalFlowPyrLK(
-        _equalised(patch.image),
-        _equalised(crop),
+        patch.equalised,
+        equalised(crop),
         start,
         start.copy(),
         winSize=(window, window),

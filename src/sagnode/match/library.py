@@ -8,6 +8,7 @@ nothing of what a frame shows is in it.
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,7 +19,7 @@ from sagnode.geometry.conductor import conductor_points, gravity_direction, load
 from sagnode.match.bundle import lines
 from sagnode.match.family import Family
 from sagnode.match.ribbon import Singles, normals
-from sagnode.match.robust import median
+from sagnode.match.robust import median, percentile
 from sagnode.match.shrink import Box, box_around, halved_view
 from sagnode.match.templates import View, even_parameters
 
@@ -38,9 +39,6 @@ POOL_PX = 2.0
 BAND_LIMITS_PX = (0.35, 0.8)
 BANDS = ((0.0,), (-1.5, 0.0, 1.5), (-2.0, -1.0, 0.0, 1.0, 2.0))
 """Where across the curve to look, in its uncertainty of place, up to each limit of that and beyond."""
-SHORTER_SIDE = 0.3
-"""By which share of a band's step a wire's sides may be looked at nearer to it than elsewhere."""
-LEAST_STEP_PX = 0.5
 WIDE_PX = 2.0
 """Width of a wire that is still seen in a picture of half the size."""
 REACH_PX = 48.0
@@ -49,6 +47,7 @@ SPREAD_PX = 4.0
 """Uncertainty of a sample's place at which it counts half."""
 STILL_PX = 0.3
 """Movement of the curves in the picture below which the same library serves: a response is ±1 px wide."""
+NOT_ASIDE = np.zeros((1, 1, 1), dtype=np.float32)
 
 
 @dataclass(frozen=True)
@@ -160,7 +159,7 @@ def _drawn(view: View, sag_range: tuple[float, float], swing_max: float, attachm
     sag_steps = by_sag * (sag_range[1] - sag_range[0]) / step
     # what swing does beyond what sag does decides whether swing is worth searching
     swing_steps = 2 * by_swing * swing_max / step
-    if not float(np.percentile(swing_steps, 95)) > 4:
+    if not percentile(swing_steps, 95) > 4:
         swing_steps = np.zeros_like(swing_steps)
         sag_steps /= SAG_ALONE
     if not sag_steps.any():
@@ -194,19 +193,17 @@ def places_of(
         part: which samples of the family belong to the stretch (n,), without a gap.
         spread: how uncertain the place of each of them is (n,), px.
     """
-    u, v, nu, nv, depth = family.placed(view.intrinsics, part, sags, swings)
-    width = np.float32(view.diameter * view.intrinsics.fx) / depth
     pool = np.minimum(spread, POOL_PX)
-    band = BANDS[int(np.searchsorted(BAND_LIMITS_PX, float(pool.max())))]
+    band = BANDS[bisect_left(BAND_LIMITS_PX, float(pool.max()))]
+    width = view.diameter * view.intrinsics.fx
     if len(family.members) == 1:
-        place, side = lines(np.zeros((1, 1, 1), dtype=np.float32), width)
-        if band == BANDS[-1]:
-            # a whole number of the band's steps: the sides of one place are the middles and sides of others
-            step = pool.astype(np.float32)[:, None]
-            snapped = step * np.maximum(np.ceil(side / np.maximum(step, LEAST_STEP_PX) - SHORTER_SIDE), 1)
-            side = np.where(step >= LEAST_STEP_PX, snapped, side)
+        step = pool.astype(np.float32) if band == BANDS[-1] else None
+        u, v, nu, nv, side = family.placed(view.intrinsics, part, sags, swings, width, step)
+        place, side = NOT_ASIDE, side[None]
     else:
-        place, side = lines(family.members[:, part, :1] * nu + family.members[:, part, 1:] * nv, width)
+        u, v, nu, nv, depth = family.placed(view.intrinsics, part, sags, swings)
+        across = family.members[:, part, :1] * nu + family.members[:, part, 1:] * nv
+        place, side = lines(across, np.float32(width) / depth)
     return Places(
         pixel=(u, v),
         normal=(nu, nv),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import cv2
 import numpy as np
@@ -27,6 +28,19 @@ class Patch:
 
     pixel: FloatArray
     image: GreyImage
+
+    @cached_property
+    def equalised(self) -> GreyImage:
+        """The image as it is compared."""
+        return equalised(self.image)
+
+
+def equalised(image: GreyImage) -> GreyImage:
+    """Mean 128, standard deviation 40: light and haze change these between two pictures of one thing."""
+    mean, deviation = (float(value.item()) for value in cv2.meanStdDev(image))
+    gain = 40.0 / max(deviation, 1.0)
+    grey = (image.astype(np.float32) - mean) * gain + 128.0
+    return np.asarray(np.clip(grey, 0, 255), dtype=np.uint8)
 
 
 def cut_patch(reference: GreyImage, pixel: tuple[float, float], size_px: int) -> Patch | None:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from sagnode.capture.port import GreyImage
 from sagnode.geometry.camera import FloatArray
 from sagnode.match.library import POOL_PX, Library, Places, places_of, trust
-from sagnode.match.ribbon import normals, pooled_response
+from sagnode.match.ribbon import pooled_response
 from sagnode.match.shrink import halved
 from sagnode.native import kernels
 
@@ -110,14 +110,14 @@ def _polished(
 def _distinct(library: Library, sags: FloatArray, swings: FloatArray) -> NDArray[np.intp]:
     """Which of some curves (K,), the best first, are not one that came before them."""
     spread = library.spread
-    u, v, _ = library.family.pixels(library.view.intrinsics, np.arange(len(spread)), sags, swings)
-    pixels = np.stack([u, v], axis=-1).astype(np.float64)
-    normal = normals(pixels.transpose(1, 0, 2)).transpose(1, 0, 2)
+    every = np.arange(len(spread))
+    u, v, nu, nv, _ = library.family.placed(library.view.intrinsics, every, sags, swings)
+    # how far each curve (last axis) lies aside of each (second axis), in bands
+    across = (u[:, None] - u[:, :, None]) * nu[:, :, None] + (v[:, None] - v[:, :, None]) * nv[:, :, None]
+    typical = np.sqrt(np.mean((across / (1 + np.minimum(spread, POOL_PX))[:, None, None]) ** 2, axis=0))
     kept: list[int] = []
     for k in range(len(sags)):
-        across = np.sum((pixels[:, kept] - pixels[:, k : k + 1]) * normal[:, k : k + 1], axis=-1)
-        apart = across / (1 + np.minimum(spread, POOL_PX))[:, None]
-        if not kept or float(np.min(np.sqrt(np.nanmean(apart**2, axis=0)))) > DISTINCT_PX:
+        if all(typical[k, other] > DISTINCT_PX for other in kept):
             kept.append(k)
     return np.array(kept, dtype=np.intp)
 

@@ -21,16 +21,21 @@ def places(
     cosine: Array,
     sine: Array,
     first: int,
+    width: float,
+    step: Array,
     u: Array,
     v: Array,
     nu: Array,
     nv: Array,
-    depth: Array,
+    side: Array,
 ) -> None:
-    """:meth:`sagnode.match.family.Family.placed`: samples from ``first`` on into u, v, nu, nv and depth (n, K).
+    """:meth:`sagnode.match.family.Family.placed`: samples from ``first`` on into u, v, nu and nv (n, K).
 
-    All single precision, without gaps, but lens (14,): fx, fy, cx, cy, reach, model (0 perfect, 1 pinhole, 2 fisheye)
-    and eight coefficients. chord (N, 3), slope and bend (N,), turn (3, 3), sag, cosine and sine (K,).
+    And into side: of a wire of ``width`` (px at one metre of depth) the distance of its sides as
+    :func:`sagnode.match.library.places_of` has them, whole numbers of the steps (n,) where these are not zero; the
+    samples' depths if the width is zero. All single precision, without gaps, but lens (17,), which is
+    :attr:`sagnode.geometry.camera.Intrinsics.packed`. chord (N, 3), slope and bend (N,), turn (3, 3), sag, cosine and
+    sine (K,).
     """
 
 def response(

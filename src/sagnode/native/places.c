@@ -10,7 +10,13 @@ enum { CHUNK = 64 };
 #define OUTSIDE_PX -1e4f
 #define LEAST_SQUARE 1e-9f
 
-/* The lens: fx, fy, cx, cy, reach, model (0 perfect, 1 pinhole, 2 fisheye), eight coefficients in OpenCV's order. */
+/* Of sagnode.match.bundle and sagnode.match.library. */
+#define SIDE_OFFSET_PX 2.5f
+#define CLEAR_PX 1.5f
+#define SHORTER_SIDE 0.3f
+#define LEAST_STEP_PX 0.5f
+
+/* What of Intrinsics.packed is needed here. */
 typedef struct {
     float fx, fy, cx, cy, reach;
     int model;
@@ -20,11 +26,12 @@ typedef struct {
 static int lens_from(const array *of, lens *out)
 {
     const double *from = (const double *)of->at;
-    if (require(of->shape[0] == 14, "lens: fourteen numbers are wanted") < 0)
+    if (require(of->shape[0] == 17, "lens: seventeen numbers are wanted") < 0)
         return -1;
-    *out = (lens){(float)from[0], (float)from[1], (float)from[2], (float)from[3], (float)from[4], (int)from[5], {0}};
+    int model = from[1] == 0.0 ? 0 : from[0] != 0.0 ? 2 : 1;
+    *out = (lens){(float)from[4], (float)from[5], (float)from[6], (float)from[7], (float)from[8], model, {0}};
     for (int i = 0; i < 8; i++)
-        out->k[i] = (float)from[6 + i];
+        out->k[i] = (float)from[9 + i];
     return 0;
 }
 
@@ -97,16 +104,33 @@ static void turn_aside(const float *u0, const float *u1, const float *v0, const 
     }
 }
 
+/* Distance of a thin line's sides, from the projected width of one wire at one metre and the depths of a chunk; a whole
+   number of steps where the places of a band share them. */
+FOR_EACH_PROCESSOR
+static void beside(float width, const float *depth, float step, int count, float *side)
+{
+    for (int k = 0; k < count; k++) {
+        float outside = 0.5f * (width / depth[k]) + CLEAR_PX;
+        side[k] = outside > SIDE_OFFSET_PX ? outside : SIDE_OFFSET_PX;
+    }
+    if (step >= LEAST_STEP_PX)
+        for (int k = 0; k < count; k++) {
+            float steps = ceilf(side[k] / step - SHORTER_SIDE);
+            side[k] = step * (steps > 1.0f ? steps : 1.0f);
+        }
+}
+
 PyObject *places(PyObject *module, PyObject *const *words, Py_ssize_t count)
 {
     arrays all = {0};
-    array chord, slope, bend, turn, glass, sag, cosine, sine, out[5];
+    array chord, slope, bend, turn, glass, sag, cosine, sine, step, out[5];
     lens by;
-    static const char *const names[] = {"u", "v", "nu", "nv", "depth"};
+    static const char *const names[] = {"u", "v", "nu", "nv", "side"};
     (void)module;
-    if (require(count == 14, "places takes fourteen arguments") < 0)
+    if (require(count == 16, "places takes sixteen arguments") < 0)
         return NULL;
     Py_ssize_t first = PyLong_AsSsize_t(words[8]);
+    float width = (float)PyFloat_AsDouble(words[9]);
     if (PyErr_Occurred())
         return NULL;
     int failed = take(&all, words[0], "chord", 'f', 2, 1, 0, &chord) < 0 ||
@@ -116,14 +140,15 @@ PyObject *places(PyObject *module, PyObject *const *words, Py_ssize_t count)
                  take(&all, words[4], "lens", 'd', 1, 1, 0, &glass) < 0 ||
                  take(&all, words[5], "sag", 'f', 1, 1, 0, &sag) < 0 ||
                  take(&all, words[6], "cosine", 'f', 1, 1, 0, &cosine) < 0 ||
-                 take(&all, words[7], "sine", 'f', 1, 1, 0, &sine) < 0;
+                 take(&all, words[7], "sine", 'f', 1, 1, 0, &sine) < 0 ||
+                 take(&all, words[10], "step", 'f', 1, 1, 0, &step) < 0;
     for (int k = 0; k < 5 && !failed; k++)
-        failed = take(&all, words[9 + k], names[k], 'f', 2, 1, 1, &out[k]) < 0;
+        failed = take(&all, words[11 + k], names[k], 'f', 2, 1, 1, &out[k]) < 0;
     if (!failed) {
         Py_ssize_t samples = slope.shape[0], curves = sag.shape[0], rows = out[0].shape[0];
         int fits = bend.shape[0] == samples && chord.shape[0] == samples && chord.shape[1] == 3 && turn.shape[0] == 3 &&
                    turn.shape[1] == 3 && cosine.shape[0] == curves && sine.shape[0] == curves && rows > 0 &&
-                   first >= 0 && first <= samples - rows && samples > 1;
+                   first >= 0 && first <= samples - rows && samples > 1 && step.shape[0] == rows;
         for (int k = 0; k < 5; k++)
             fits = fits && out[k].shape[0] == rows && out[k].shape[1] == curves;
         failed = require(fits, "places: shapes do not fit each other") < 0 || lens_from(&glass, &by) < 0;
@@ -159,6 +184,8 @@ PyObject *places(PyObject *module, PyObject *const *words, Py_ssize_t count)
                 ((float *)out[1].at)[to + k] = v[own * CHUNK + k];
                 ((float *)out[4].at)[to + k] = depth[own * CHUNK + k];
             }
+            if (width > 0)
+                beside(width, depth + own * CHUNK, ((const float *)step.at)[i], some, (float *)out[4].at + to);
             turn_aside(u + before, u + after, v + before, v + after, some, (float *)out[2].at + to,
                        (float *)out[3].at + to);
         }
