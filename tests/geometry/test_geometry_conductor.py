@@ -12,6 +12,7 @@ from sagnode.geometry.conductor import (
     conductor_derivatives,
     conductor_points,
     control_points,
+    finer_load_shapes,
     gravity_direction,
     load_shapes,
     sag_profile,
@@ -107,6 +108,18 @@ def test_terms_of_an_uneven_load_are_its_bending_moments(term: int) -> None:
     moment = (np.minimum(s[:, None], place) * (1 - np.maximum(s[:, None], place))) @ load
     # an even load of 1 has the moment 1/8 at mid-span, where its depth is D
     np.testing.assert_allclose(load_shapes(s, term)[term - 1], 8 * moment, atol=1e-6)
+
+
+def test_finer_terms_of_an_uneven_load_continue_the_first_ones() -> None:
+    s = np.linspace(0.0, 1.0, 41)
+    np.testing.assert_allclose(finer_load_shapes(s, 2, 9), load_shapes(s, 9)[1:], atol=1e-12)
+    # the far ones, which powers of x cannot give: what is bent twice is Legendre's polynomial again
+    k, fine = 40, np.linspace(0.0, 1.0, 20001)
+    bent = finer_load_shapes(fine, k, k)[0]
+    curvature = np.diff(bent, 2) / (fine[1] - fine[0]) ** 2 / 4
+    legendre = np.polynomial.legendre.legval(2 * fine - 1, [0.0] * k + [1.0])
+    np.testing.assert_allclose(curvature, -2 * legendre[1:-1], atol=1e-3)
+    np.testing.assert_allclose(bent[[0, -1]], 0.0, atol=1e-15)
 
 
 def test_first_term_of_an_uneven_load_is_the_skew_of_the_bezier() -> None:

@@ -8,11 +8,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from math import erfc, pi, sqrt
 
 import numpy as np
 
 from sagnode.estimate.joint import Solution
+from sagnode.geometry.camera import FloatArray
+from sagnode.geometry.conductor import load_shapes
 from sagnode.survey import CAMERA, LOAD, SWING, Survey
+
+PIECES, STRETCHES = 20, (1, 4, 8, 12)
+"""Pieces of the span, and lengths of the stretches on which a load may hang, in such pieces."""
+SHARES = (0.05, 0.3)
+"""Standard deviations of such a load's weight, over the wire's own: a branch or a trolley, and ice."""
 
 
 @dataclass(frozen=True)
@@ -30,18 +38,28 @@ class Unevenness:
     swing: tuple[float, float]
 
 
-def unevenness(solution: Solution, survey: Survey, load_us: Sequence[float]) -> list[Unevenness]:
-    """One Gauss-Newton step in the terms of an uneven load, all other unknowns following, without solving anew.
+@dataclass(frozen=True)
+class _Marginal:
+    """What an even solution's residuals say of further unknowns, all of its own following.
 
-    Args:
-        solution: under an even load.
-        survey: of it.
-        load_us: standard uncertainties of the terms that are tried, one answer each. A prior much wider than the load
-            counts against it.
+    Attributes:
+        seen: information (K, K) about the further unknowns.
+        pull: what pulls at them (K,).
+        swing: the even swing as its residuals have it, and its variance, rad.
+        turn: what each of them takes off the swing (K,).
     """
+
+    seen: FloatArray
+    pull: FloatArray
+    swing: tuple[float, float]
+    turn: FloatArray
+
+
+def _marginal(solution: Solution, survey: Survey, own: FloatArray) -> _Marginal:
+    """For further unknowns that move the offsets by the columns of ``own`` (M, K)."""
     free = survey.unknowns()
     white, correlated = solution.noise
-    own, others = solution.jacobian[:, LOAD], solution.jacobian[:, free]
+    others = solution.jacobian[:, free]
     solved = np.linalg.solve(np.diag(white) + correlated, np.column_stack([own, solution.residual, others]))
     of_own, of_residual, of_others = np.split(solved, [own.shape[1], own.shape[1] + 1], axis=1)
     known = np.diag(1 / survey.prior_sigma()[free] ** 2)
@@ -53,17 +71,79 @@ def unevenness(solution: Solution, survey: Survey, load_us: Sequence[float]) -> 
     target[CAMERA] += solution.camera.vector
     rest = others.T @ of_residual[:, 0] + target[free] - known @ solution.theta[free]
     seen = own.T @ of_own - (others.T @ of_own).T @ follow
-    pull, turn = own.T @ of_residual[:, 0] - follow.T @ rest, follow[SWING]
+    pull = own.T @ of_residual[:, 0] - follow.T @ rest
+    swing = float(solution.theta[SWING] + left[SWING] @ rest)
+    return _Marginal(seen, pull, (swing, float(left[SWING, SWING])), follow[SWING])
+
+
+def unevenness(solution: Solution, survey: Survey, load_us: Sequence[float]) -> list[Unevenness]:
+    """One Gauss-Newton step in the terms of an uneven load, all other unknowns following, without solving anew.
+
+    Args:
+        solution: under an even load.
+        survey: of it.
+        load_us: standard uncertainties of the terms that are tried, one answer each. A prior much wider than the load
+            counts against it.
+    """
+    of = _marginal(solution, survey, solution.jacobian[:, LOAD])
     explanations = []
     for u in load_us:
-        information = seen + np.eye(len(seen)) / u**2
-        terms = np.linalg.solve(information, pull)
-        misfit = float(pull @ terms)
+        information = of.seen + np.eye(len(of.seen)) / u**2
+        terms = np.linalg.solve(information, of.pull)
+        misfit = float(of.pull @ terms)
         _, gained = np.linalg.slogdet(information * u**2)
-        swing_u = float(np.sqrt(left[SWING, SWING] + turn @ np.linalg.solve(information, turn)))
-        swing = float(solution.theta[SWING] + left[SWING] @ rest - turn @ terms)
+        swing_u = float(np.sqrt(of.swing[1] + of.turn @ np.linalg.solve(information, of.turn)))
+        swing = float(of.swing[0] - of.turn @ terms)
         explanations.append(Unevenness(misfit, 0.5 * (misfit - float(gained)), (swing, swing_u)))
     return explanations
+
+
+def single_loads(solution: Solution, survey: Survey, t: FloatArray) -> list[Unevenness]:
+    """What the residuals at the places ``t`` (M,) say of one weight, or of ice on one stretch, wherever it may hang.
+
+    Ten free terms can be any load, and are believed only where the picture leaves no other way; what happens to lines
+    is mostly of one place and one size, and shows when ten terms do not yet. The size is a share of the wire's own
+    weight, positive, with a Gaussian prior of each of SHARES.
+    """
+    shapes = solution.jacobian[:, LOAD]
+    per_depth = load_shapes(t, shapes.shape[1]).T
+    # sag times what a deeper wire moves in the picture: the terms' columns are that times their shapes
+    down = np.sum(shapes * per_depth, axis=1) / np.maximum(np.sum(per_depth**2, axis=1), 1e-12)
+    of = _marginal(solution, survey, down[:, None] * _single_shapes(t))
+    explanations = []
+    for u in SHARES:
+        information = np.diag(of.seen) + 1 / u**2
+        share, spread = of.pull / information, 1 / np.sqrt(information)
+        misfit = of.pull * share
+        # a load hangs down: half of the Gaussian prior is none of its, and of what is left that which is below nothing
+        z = np.clip(share / spread, -30.0, None)
+        above = 0.5 * np.array([erfc(-one / sqrt(2)) for one in z])
+        hazard = np.exp(-0.5 * z**2) / sqrt(2 * pi) / above
+        odds = 0.5 * misfit - 0.5 * np.log(information * u**2) + np.log(2 * above)
+        mean = share + spread * hazard
+        variance = spread**2 * np.maximum(1 - z * hazard - hazard**2, 1e-3)
+        swing = of.swing[0] - of.turn * mean
+        swing_u = np.sqrt(of.swing[1] + of.turn**2 * variance)
+        explanations += [
+            Unevenness(float(misfit[k]), float(odds[k]), (float(swing[k]), float(swing_u[k]))) for k in range(len(odds))
+        ]
+    return explanations
+
+
+def _single_shapes(t: FloatArray) -> FloatArray:
+    """What one load of the wire's own weight adds to the depth below the chord, over the sag of an even one (M, K).
+
+    A load at x bends the cable as ``G = min(s, x) (1 - max(s, x))`` (an even one as ``8 ∫ G dx = 4 s (1 - s)``), and
+    what it adds to the mean load is not counted again.
+    """
+    places = (np.arange(PIECES) + 0.5) / PIECES
+    bent = 8 * np.minimum(t[:, None], places) * (1 - np.maximum(t[:, None], places)) - (4 * t * (1 - t))[:, None]
+    stretches = [
+        bent[:, first : first + length].mean(axis=1)
+        for length in STRETCHES
+        for first in range(0, PIECES - length + 1, max(1, length // 2))
+    ]
+    return np.stack(stretches, axis=1)
 
 
 def log_odds(rich: Solution, rich_survey: Survey, simple: Solution, simple_survey: Survey) -> float:

@@ -20,7 +20,7 @@ import numpy as np
 from sagnode.estimate.camera import CameraKnowledge
 from sagnode.estimate.steps import SETTLED, robust_weights, solve_scaled, step_length
 from sagnode.geometry.camera import FloatArray, project, projection_derivatives
-from sagnode.geometry.conductor import conductor_derivatives, gravity_direction, load_shapes
+from sagnode.geometry.conductor import conductor_derivatives, finer_load_shapes, gravity_direction, load_shapes
 from sagnode.match.robust import median
 from sagnode.native import kernels
 from sagnode.survey import CAMERA, LOAD, SAG, SIZE, SWING, Survey
@@ -36,6 +36,9 @@ ANEW = 0.5
 """A step of more than this many standard uncertainties makes the derivatives be taken anew."""
 SHAPE = slice(10, 18)
 """Attachments, sag and swing among the unknowns."""
+FINEST_LOAD = 40
+"""Last term of an uneven load that is reckoned with: those beyond the solved ones are an error that the offsets share.
+A weight's kink needs them; beyond this one they move a wire by less than a millimetre."""
 STRIDE = (0.1, np.radians(2.0))
 """Longest steps: of sag, as a share of its surveyed range, and of swing."""
 SWING_MAX = 1.4
@@ -82,6 +85,11 @@ class CurveObservations:
         """Whether the offsets follow each other along the curve."""
         return bool((self.arc[1:] >= self.arc[:-1]).all())
 
+    @cached_property
+    def finer_load_shapes(self) -> FloatArray:
+        """The same of the terms that are too fine to be solved for (30, M)."""
+        return finer_load_shapes(self.t, LOAD.stop - LOAD.start + 1, FINEST_LOAD)
+
 
 @dataclass(frozen=True)
 class Solution:
@@ -112,11 +120,14 @@ class Solution:
     white: FloatArray
     curve: CurveObservations
     camera: CameraKnowledge
+    shared: FloatArray | None = None
+    """Covariance (M, M) of what the offsets share, px², where an uneven load adds to what neighbours do."""
 
     @cached_property
     def noise(self) -> tuple[FloatArray, FloatArray]:
         """White (M,) and correlated (M, M) variances of the offsets as weighted, px²."""
-        return self.white, correlated_error(self.curve.arc, self.curve.sigma)
+        shared = correlated_error(self.curve.arc, self.curve.sigma) if self.shared is None else self.shared
+        return self.white, shared
 
     def information(self, survey: Survey) -> dict[str, FloatArray]:
         """The printed budget: the covariance split by source, Σ (P⁻¹ + Σ JᵀC⁻¹J) Σ term by term, each (28, 28)."""
@@ -174,6 +185,18 @@ def correlated_error(arc: FloatArray, sigma: FloatArray) -> FloatArray:
     return np.asarray(shared[:, None] * shared * np.exp(-distance / CORRELATION_LENGTH_PX))
 
 
+def finer_load_error(survey: Survey, theta: FloatArray, curve: CurveObservations) -> FloatArray:
+    """Covariance (M, M), px², of the offsets by the terms of an uneven load that are too fine to be solved for."""
+    intrinsics, pose = survey.camera(theta)
+    shape = survey.shape(theta)
+    by_point, _ = projection_derivatives(intrinsics, pose, shape.points(curve.t))
+    down = np.einsum(
+        "mi,mij,j->m", curve.normal, by_point, gravity_direction(shape.near, shape.far, float(theta[SWING]))
+    )
+    moved = survey.load_u * float(theta[SAG]) * down * curve.finer_load_shapes
+    return np.asarray(moved.T @ moved)
+
+
 def solve(
     survey: Survey, start: FloatArray, camera: CameraKnowledge, curve: CurveObservations, iterations: int = 10
 ) -> Solution:
@@ -194,7 +217,9 @@ def solve(
     longest[SAG] = STRIDE[0] * (survey.sag_range[1] - survey.sag_range[0])
     longest[SWING] = min(longest[SWING], STRIDE[1])
     question = _Question(survey, start, camera, curve, known, target, longest, iterations)
-    return _solve_compiled(kernels, question) if kernels is not None and curve.in_order else _solve(question)
+    # what finer terms of a load share reaches over the whole curve, and is no Markov process
+    markov = curve.in_order and not survey.load_u > 0
+    return _solve_compiled(kernels, question) if kernels is not None and markov else _solve(question)
 
 
 @dataclass(frozen=True)
@@ -256,6 +281,8 @@ def _solve(asked: _Question) -> Solution:
     known_free, target_free = known[np.ix_(free, free)], target[free]
     sag_low, sag_high, swing_low, swing_high = asked.bounds
     white, correlated = curve.sigma**2, correlated_error(curve.arc, curve.sigma)
+    if survey.load_u > 0:
+        correlated += finer_load_error(survey, asked.start, curve)
     diagonal = np.diag_indices_from(correlated)
     shared = correlated[diagonal]
     expected = white + shared
@@ -296,6 +323,7 @@ def _solve(asked: _Question) -> Solution:
         white=noise,
         curve=curve,
         camera=asked.camera,
+        shared=correlated if survey.load_u > 0 else None,
     )
 
 

@@ -24,8 +24,6 @@ UNEVEN_VISIBLE_MIN = 0.5
 """The same under an uneven load: nobody knows how a wire goes on where it is not seen."""
 SAG_U_MAX = 0.04
 """Relative standard uncertainty of sag above which linear propagation no longer holds."""
-UNEVEN_SAG_U_MAX = 0.025
-"""The same under an uneven load, whose terms do not follow every load: beyond it their prior outweighs the wire."""
 PRIOR_Z_MAX = 5.0
 """Corrections to the survey beyond this many of its own standard uncertainties mean another wire or a wrong survey."""
 RIVAL_MAX = 0.8
@@ -117,7 +115,7 @@ def _not_certain(found: Matched, sag: Estimate) -> list[Reason]:
         text = "the wire hangs as under an uneven load, ice or a weight on a part of the span, that cannot be followed"
         reasons.append(Reason(Cause.ICE_SUSPECT, text))
     share = sag.u / max(sag.value, 1e-9)
-    if share > (UNEVEN_SAG_U_MAX if found.survey.load_u else SAG_U_MAX):
+    if share > SAG_U_MAX:
         text = f"standard uncertainty of sag is {100 * share:.1f} % of it; the view or the survey is too weak"
         reasons += [Reason(Cause.UNCERTAIN, text), *_ice(found)]
     return reasons

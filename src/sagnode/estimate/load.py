@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from sagnode.capture.port import GreyImage
-from sagnode.estimate.evidence import Unevenness, log_odds, unevenness
+from sagnode.estimate.evidence import Unevenness, log_odds, single_loads, unevenness
 from sagnode.estimate.joint import solve
 from sagnode.estimate.matched import (
     STAGES,
@@ -31,9 +31,9 @@ LOAD_U = 0.45
 half of the conductor's own weight is a first term of 0.3, and a short piece of heavy ice reaches 0.6 in several."""
 LOADS_U = (0.1, LOAD_U)
 """The same for a light load and a heavy one: with these an even curve's residuals are asked whether there is one."""
-LET_IN = 0.02
-"""Probability from which an uneven load is let in: before looking it is 0.03, and a picture without a sign of it leaves
-less than 0.01."""
+LET_IN = 0.04
+"""Probability from which an uneven load is let in: before looking it is 0.028, a view that cannot tell leaves about as
+much, and one that can tell and shows no sign of it less than 0.01."""
 SUSPECT_SUPPORT, SUSPECT_SHARE = 0.6, 0.35
 """Where less of an even curve, or of the span, shows a wire, it is tried: what is beside the curve cannot ask."""
 SURELY = 0.5
@@ -58,12 +58,14 @@ class Doubt:
         even: the match; None where no even curve was found.
         strains: what its residuals say about a light and a heavy uneven load; empty where it lies on no wire. They are
             those before the even curve itself foretold where to look, and so is the swing that goes with them.
+        singles: what they say about single loads, a weight or ice on one stretch.
     """
 
     conductor: SiteConductor
     survey: Survey
     even: Matched | None
     strains: list[Unevenness]
+    singles: list[Unevenness]
 
     @property
     def swing_u(self) -> float:
@@ -78,7 +80,7 @@ class Doubt:
 
     def as_uneven(self) -> list[Explanation]:
         """Uneven loads, by what the even one leaves over, as far as one step reaches."""
-        near = [each for each in self.strains if each.misfit < ONE_STEP]
+        near = [each for each in (*self.singles, *self.strains) if each.misfit < ONE_STEP]
         return [explanation(each.log_odds, *each.swing, self.swing_u) for each in near]
 
     def is_strained(self) -> bool:
@@ -97,9 +99,12 @@ def doubt(conductor: SiteConductor, registered: Registered, even: Matched | None
     survey = survey_of(conductor, registered)
     # a curve on nothing has nothing to say, neither about the load nor about the wind
     strains: list[Unevenness] = []
+    singles: list[Unevenness] = []
     if even is not None and is_wire(even):
-        strains = unevenness((even.unaided or even).solution, survey, LOADS_U)
-    return Doubt(conductor, survey, even, strains)
+        seen = even.unaided or even
+        strains = unevenness(seen.solution, survey, LOADS_U)
+        singles = single_loads(seen.solution, survey, seen.offsets.t)
+    return Doubt(conductor, survey, even, strains, singles)
 
 
 def settle_loads(
@@ -120,7 +125,8 @@ def settle_loads(
     ]
     probable = _probable(explained, doubts)
     uneven = [p > LET_IN or max(probable) > SURELY for p in probable]
-    believed = [pair[1] if other else pair[0] for pair, other in zip(explained, uneven, strict=True)]
+    # what a light load would let the others expect holds for no heavy one, which the last explanation is
+    believed = [pair[1][-1:] if other else pair[0] for pair, other in zip(explained, uneven, strict=True)]
     settled: list[Matched | None] = []
     for k, (each, found) in enumerate(zip(doubts, followed, strict=True)):
         if not uneven[k] and each.strains:

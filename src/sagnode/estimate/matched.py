@@ -140,7 +140,7 @@ def refine(
         observed = observe(image, curve, stage.half_range_px, others, block_px, stage.shifts, stage.run)
         if int(observed.usable.sum()) < 4:
             return None
-        offsets = _offsets(observed)
+        offsets = _offsets(observed, bent=survey.load_u > 0 and stage is STAGES[-1])
         solution = solve(survey, theta, registered.camera, offsets, stage.iterations)
         theta = solution.theta
         view = view_of(survey, conductor, theta)
@@ -162,10 +162,8 @@ def completed(
 
     Where another wire, or another stretch of this one, runs a few pixels away, and where a faint wire is one among
     several things within the usual reach, only what is near the foretold place is looked at. What that adds foretells
-    the next stretch, round by round. An uneven load foretells nothing: its terms are free to follow what is found.
+    the next stretch, round by round.
     """
-    if found.survey.load_u:
-        return found
     for block_px in FORETOLD_BLOCKS_PX:
         if float(np.mean(found.observed.usable)) > FORETOLD_ENOUGH or not found.solution.converged:
             break
@@ -202,7 +200,7 @@ def _foretold(
     )
     if int(observed.usable.sum()) < 4:
         return None
-    offsets = _offsets(observed)
+    offsets = _offsets(observed, bent=found.survey.load_u > 0)
     solution = solve(found.survey, theta, registered.camera, offsets, STAGES[-1].iterations)
     view = view_of(found.survey, conductor, solution.theta)
     curve = trace(view, float(solution.theta[SAG]), float(solution.theta[SWING]))
@@ -220,15 +218,19 @@ def _foretold(
     )
 
 
-def _offsets(observed: Observed) -> CurveObservations:
-    """The usable blocks, as the joint estimate takes them."""
+def _offsets(observed: Observed, *, bent: bool) -> CurveObservations:
+    """The usable blocks, as the joint estimate takes them.
+
+    An even curve leaves texture aside, which then weighs little; the terms of an uneven load bend to it (``bent``).
+    """
     use = observed.usable
+    sigma = np.hypot(observed.sigma, observed.texture) if bent else observed.sigma
     return CurveObservations(
         t=observed.t[use],
         arc=observed.arc[use],
         normal=observed.normal[use],
         measured=(observed.pixel + observed.offset[:, None] * observed.normal)[use],
-        sigma=observed.sigma[use],
+        sigma=sigma[use],
     )
 
 
@@ -276,11 +278,8 @@ def share_standing_out(matched: Matched) -> float:
 def visible_share(matched: Matched) -> float:
     """Share of the span's horizontal length over which the wire is seen: it stands out, or was measured on the curve.
 
-    A window stands out by its mean; the blocks in it, compared with the profile of a wire, may still show it. Under an
-    uneven load they prove less: its terms can bend the curve through what is there.
+    A window stands out by its mean; the blocks in it, compared with the profile of a wire, may still show it.
     """
-    if matched.survey.load_u:
-        return share_standing_out(matched)
     return _share(matched.track, matched.sighting.seen | _measured_at(matched))
 
 

@@ -24,6 +24,8 @@ ICY_READINGS, ICED_THEN, WEIGHTED = 0.02, 0.9, 0.01
 """Share of readings under ice, share of the conductors that are unevenly iced then, and of those with a weight else."""
 GRID = np.linspace(-4.0, 4.0, 641)
 """Common swings that are tried, in standard uncertainties of the prior."""
+NONE, NEGLIGIBLE = -1e9, 25.0
+"""Log-evidence where there is no explanation, and by how much less than the best another need not be reckoned with."""
 
 
 @dataclass(frozen=True)
@@ -89,12 +91,16 @@ def _spread(common: FloatArray) -> FloatArray:
 
 def _log_likelihood(explained: Sequence[Explanation], common: FloatArray, prior_u: float) -> FloatArray:
     """Logarithm of the mean evidence (N,) of explanations, the swings being spread about each of some common ones."""
-    result = np.full(len(common), -1e9)
-    for each in explained:
-        spread = _log_normal(each.swing - common, each.variance + _spread(common) ** 2)
-        alone = _log_normal(np.asarray(each.swing), each.variance + prior_u**2)
-        result = np.logaddexp(result, each.log_evidence + spread - alone - np.log(len(explained)))
-    return result
+    if not explained:
+        return np.full(len(common), NONE)
+    best = max(each.log_evidence for each in explained)
+    telling = [each for each in explained if each.log_evidence > best - NEGLIGIBLE]
+    evidence, swing, variance = np.array([(e.log_evidence, e.swing, e.variance) for e in telling]).T[:, :, None]
+    spread = _log_normal(swing - common, variance + _spread(common) ** 2)
+    alone = _log_normal(swing, variance + prior_u**2)
+    logs = evidence + spread - alone
+    highest = logs.max(axis=0)
+    return np.asarray(highest + np.log(np.exp(logs - highest).sum(axis=0) / len(explained)))
 
 
 def _log_normal(difference: FloatArray, variance: FloatArray | float) -> FloatArray:

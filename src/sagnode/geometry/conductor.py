@@ -139,6 +139,19 @@ def load_shapes(s: FloatArray, count: int) -> FloatArray:
     return np.asarray(_load_polynomials(count) @ np.polynomial.polynomial.polyvander(x, count + 2).T)
 
 
+def finer_load_shapes(s: FloatArray, first: int, last: int) -> FloatArray:
+    """The shapes of :func:`load_shapes` for the terms ``first`` to ``last``, at least 2: (last - first + 1, N).
+
+    By Legendre's recurrence, which keeps its digits where the powers of x of a high term cancel.
+    """
+    values = np.polynomial.legendre.legvander(2 * np.asarray(s, dtype=np.float64) - 1, last + 2).T
+    k = np.arange(first, last + 1)
+    above, own, below = ((2 * k + 1) * (2 * k + 3), (2 * k - 1) * (2 * k + 3), (2 * k - 1) * (2 * k + 1))
+    return np.asarray(
+        4 * values[k] / own[:, None] - 2 * values[k + 2] / above[:, None] - 2 * values[k - 2] / below[:, None]
+    )
+
+
 @cache
 def _load_polynomials(count: int) -> FloatArray:
     """Coefficients (count, count + 3) of the polynomials gₖ in x, lowest power first."""

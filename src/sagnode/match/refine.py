@@ -12,7 +12,7 @@ from sagnode.geometry.camera import FloatArray
 from sagnode.match.kernels import MARGIN_PX
 from sagnode.match.localise import localise_beside
 from sagnode.match.masks import folds_back, near, reach_of
-from sagnode.match.standing import stand_out
+from sagnode.match.standing import stand_out, texture_sigma
 from sagnode.match.track import Track
 
 SHIFTS_PX = (16.0, -16.0, 23.0, -23.0, 31.0, -31.0, 11.0, -11.0)
@@ -31,6 +31,7 @@ class Observed:
         normal: unit normal there (M, 2).
         offset: of the wire along the normal, px (M,).
         sigma: standard uncertainty of the offset, px (M,): noise, and the chance that it is not the wire.
+        texture: standard deviation of what the chance that this very block found texture adds, px (M,).
         rank: share of shifted curves that look less like a wire here (M,), 0..1.
         usable: blocks inside the frame, ranked above the background, not near another wire (M,).
         masked: blocks left out because another wire runs there (M,).
@@ -43,6 +44,7 @@ class Observed:
     normal: FloatArray
     offset: FloatArray
     sigma: FloatArray
+    texture: FloatArray
     rank: FloatArray
     usable: NDArray[np.bool_]
     masked: NDArray[np.bool_]
@@ -99,6 +101,7 @@ def observe(
         normal=normal,
         offset=stood.offset,
         sigma=stood.sigma,
+        texture=texture_sigma(blocks.snr, own_range),
         rank=stood.rank,
         usable=stood.usable,
         masked=masked,

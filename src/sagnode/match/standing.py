@@ -12,6 +12,7 @@ from sagnode.match.localise import Beside, Blocks
 from sagnode.native import kernels
 
 FALSE_PEAK_POWER = 6.0
+TEXTURE_SNR = 2.0
 UNKNOWN_PX = 1e3
 """Uncertainty where there is none of the noise: what is not valid counts for nothing."""
 RANK_MIN = 0.9
@@ -85,6 +86,15 @@ def _false_peak_sigma(lead: FloatArray, half_range: FloatArray) -> FloatArray:
     the range; the chance falls steeply with the lead.
     """
     chance = 0.5 * np.maximum(lead, 1.0) ** -FALSE_PEAK_POWER
+    return np.asarray(half_range * np.sqrt(chance / 3.0))
+
+
+def texture_sigma(snr: FloatArray, half_range: FloatArray) -> FloatArray:
+    """The same chance (M,) of a block by itself, px: strong neighbours lead for it, but it may look at a leaf between.
+
+    The stronger a peak, the rarer it is among texture's: by e for every TEXTURE_SNR of its signal-to-noise ratio.
+    """
+    chance = np.minimum(0.5, np.exp((1.0 - snr) / TEXTURE_SNR))
     return np.asarray(half_range * np.sqrt(chance / 3.0))
 
 
