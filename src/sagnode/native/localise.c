@@ -30,7 +30,8 @@ typedef struct {
     /* for one block at a time */
     float *sums;                                /* (K,) */
     double *profiles, *kernels, *slopes;        /* (m, K), (m, n), (m, n) */
-    double *amplitude, *energy, *running, *rest; /* (K,), (K,), 3 (K + 1,), (m, n) */
+    double *amplitude, *energy, *score; /* (K,) each */
+    double *running, *rest;             /* 3 (K + 1,), 3 (m, n) */
 } task;
 
 /* What its peak says about one block at one place. */
@@ -116,10 +117,11 @@ static void gradient(const double *values, int n, double *out)
 /* Take the mean and, where `tilted` is set, the slope out of values (n,). */
 static void level(double *values, int n, int tilted)
 {
-    double mean = 0.0, tilt = 0.0, norm = 0.0;
+    double mean, tilt = 0.0, norm = 0.0, part[4] = {0.0};
+    /* one sum would wait for itself */
     for (int k = 0; k < n; k++)
-        mean += values[k];
-    mean /= n;
+        part[k & 3] += values[k];
+    mean = (part[0] + part[1] + part[2] + part[3]) / n;
     for (int k = 0; k < n; k++)
         values[k] -= mean;
     if (!tilted)
@@ -187,25 +189,29 @@ static double shared_noise(const task *t, Py_ssize_t block)
 
 /* Add the amplitude and the energy of all windows (K - n + 1,) of a profile (K,); the profile loses its mean. */
 FOR_EACH_PROCESSOR
-static void add_compared(double *profile, int columns, const double *kernel, int n, double *running, double *amplitude,
-                         double *energy)
+static void add_compared(double *restrict profile, int columns, const double *restrict kernel, int n,
+                         double *restrict running, double *restrict amplitude, double *restrict energy)
 {
     double *total = running, *tilted = running + columns + 1, *squared = tilted + columns + 1;
     double steepest = (double)n * ((double)n * n - 1.0) / 12.0;
     level(profile, columns, 0);
     total[0] = tilted[0] = squared[0] = 0.0;
-    for (int k = 0; k < columns; k++) {
-        total[k + 1] = total[k] + profile[k];
-        tilted[k + 1] = tilted[k] + profile[k] * k;
-        squared[k + 1] = squared[k] + profile[k] * profile[k];
+    for (int c = 0; c < columns; c++) {
+        total[c + 1] = total[c] + profile[c];
+        tilted[c + 1] = tilted[c] + profile[c] * c;
+        squared[c + 1] = squared[c] + profile[c] * profile[c];
     }
-    int windows = columns - n + 1;
-    for (int k = 0; k < n; k++) {
-        double share = kernel[k];
-        const double *shifted = profile + k;
+    int windows = columns - n + 1, k = 0;
+    /* several of the kernel's values at a time: most of the work is fetching and storing otherwise */
+    for (; k + 4 <= n; k += 4) {
+        double a = kernel[k], b = kernel[k + 1], c = kernel[k + 2], d = kernel[k + 3];
+        const double *from = profile + k;
         for (int w = 0; w < windows; w++)
-            amplitude[w] += share * shifted[w];
+            amplitude[w] = amplitude[w] + a * from[w] + b * from[w + 1] + c * from[w + 2] + d * from[w + 3];
     }
+    for (; k < n; k++)
+        for (int w = 0; w < windows; w++)
+            amplitude[w] += kernel[k] * profile[w + k];
     for (int w = 0; w < windows; w++) {
         double sum = total[w + n] - total[w], tilt = tilted[w + n] - tilted[w], power = squared[w + n] - squared[w];
         double middle = w + 0.5 * (n - 1), sloping = tilt - middle * sum;
@@ -214,10 +220,12 @@ static void add_compared(double *profile, int columns, const double *kernel, int
     }
 }
 
-static inline double score(const task *t, int window)
+/* Correlation of all windows with the kernel, small where there is only rounding. */
+FOR_EACH_PROCESSOR
+static void correlate(const double *amplitude, const double *energy, int windows, double floor, double *score)
 {
-    int n = t->wires * (2 * t->near + 1);
-    return fabs(t->amplitude[window]) / sqrt(t->energy[window] + n * FLOOR_GREY * FLOOR_GREY);
+    for (int w = 0; w < windows; w++)
+        score[w] = fabs(amplitude[w]) / sqrt(energy[w] + floor);
 }
 
 static inline int sign_of(double x) { return (x > 0.0) - (x < 0.0); }
@@ -229,16 +237,16 @@ static peak find_peak(const task *t, int first, double range, double steepness, 
     double best = -1.0;
     /* the outermost windows only serve the parabola */
     for (int k = 1; k < 2 * t->far; k++) {
-        double value = fabs(STEP_PX * (k - t->far)) <= range + STEP_PX ? score(t, first + k) : -1.0;
+        double value = fabs(STEP_PX * (k - t->far)) <= range + STEP_PX ? t->score[first + k] : -1.0;
         if (value > best) {
             best = value;
             across = k;
         }
     }
     int at = first + across;
-    double height = t->amplitude[at], here = score(t, at);
-    double before = sign_of(t->amplitude[at - 1]) == sign_of(height) ? score(t, at - 1) : 0.0;
-    double after = sign_of(t->amplitude[at + 1]) == sign_of(height) ? score(t, at + 1) : 0.0;
+    double height = t->amplitude[at], here = t->score[at];
+    double before = sign_of(t->amplitude[at - 1]) == sign_of(height) ? t->score[at - 1] : 0.0;
+    double after = sign_of(t->amplitude[at + 1]) == sign_of(height) ? t->score[at + 1] : 0.0;
     double bend = before - 2.0 * here + after, size = fabs(height), power = t->energy[at] - size * size;
     peak found;
     found.position = here >= before && here >= after && bend < 0.0 ? across + 0.5 * (before - after) / bend : NAN;
@@ -445,6 +453,7 @@ static void measure(task *t, double *blocks, uint8_t *valid, double *beside, uin
             block_profile(t, wire, b, profile);
             add_compared(profile, columns, t->kernels + wire * n, n, t->running, t->amplitude, t->energy);
         }
+        correlate(t->amplitude, t->energy, windows, t->wires * n * FLOOR_GREY * FLOOR_GREY, t->score);
         for (int k = 0; k < t->wires * n; k++) {
             double slope = t->slopes[k] / STEP_PX;
             steepest += slope * slope;
@@ -525,11 +534,12 @@ PyObject *localise(PyObject *module, PyObject *const *words, Py_ssize_t count)
         goto done;
     Py_ssize_t n = 2 * t.near + 1, columns = 2 * (t.reach + t.near) + 1;
     if (allocate((void **)&t.sums, columns, sizeof(float)) < 0 ||
-        allocate((void **)&t.profiles, (t.wires + 5) * columns + 3 + 5 * t.wires * n, sizeof(double)) < 0)
+        allocate((void **)&t.profiles, (t.wires + 6) * columns + 3 + 5 * t.wires * n, sizeof(double)) < 0)
         goto done;
     t.amplitude = t.profiles + t.wires * columns;
     t.energy = t.amplitude + columns;
-    t.running = t.energy + columns;
+    t.score = t.energy + columns;
+    t.running = t.score + columns;
     t.kernels = t.running + 3 * (columns + 1);
     t.slopes = t.kernels + t.wires * n;
     t.rest = t.slopes + t.wires * n;
