@@ -43,7 +43,8 @@ def skip(what: str) -> int:
 
 def ran(*words: str | Path, cwd: Path | None = None, native: str = "1") -> subprocess.CompletedProcess[str]:
     """Run to the end, its words kept; ``native`` 0 leaves the compiled kernels out."""
-    env = {**os.environ, "SAGNODE_NATIVE": native}
+    # What is looked at is the package, and not the source that somebody may have put before it.
+    env = {**{name: value for name, value in os.environ.items() if name != "PYTHONPATH"}, "SAGNODE_NATIVE": native}
     return subprocess.run(
         list(map(str, words)), capture_output=True, text=True, check=False, cwd=cwd, timeout=LIMIT_S, env=env
     )
