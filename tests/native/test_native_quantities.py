@@ -29,7 +29,8 @@ def question(seed):
     far = length * np.array([np.sin(seed), np.cos(seed), rng.uniform(-0.2, 0.2)]) + rng.normal(0, 0.1, (count, 3))
     sag = length * rng.uniform(0.002, 0.08, count)
     load = rng.normal(0, 0.1, (count, rng.integers(1, 11))) if seed % 3 == 0 else ()
-    along = np.round(np.sort(rng.uniform(-10, 1.1 * length, rng.integers(1, 9))), 0 if seed % 2 else 6)
+    # whole metres now and then, where a sample of the curve may be; never two heights at one place
+    along = np.unique(np.round(rng.uniform(-10, 1.1 * length, rng.integers(1, 9)), 0 if seed % 2 else 6))
     start = rng.uniform(0, length, rng.integers(0, 4))
     obstacles = np.stack([start, start + rng.uniform(0, 9, len(start)), rng.uniform(0, 20, len(start))], axis=1)
     ground = GroundProfile(along, rng.uniform(0, 9, len(along)), obstacles, rng.choice([0.0, 0.05, 0.5]))
