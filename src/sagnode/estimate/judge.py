@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 
 from sagnode.capture.port import GreyImage
@@ -39,14 +40,16 @@ def look(site: Site, image: GreyImage) -> list[Reason]:
             " capture in the calibrated mode, or calibrate this one"
         )
         return [Reason(Cause.BAD_CALIBRATION, text)]
-    sample = image[::8, ::8]
-    bright = float(np.percentile(sample, 99))
+    counts = cv2.calcHist([np.ascontiguousarray(image[::8, ::8])], [0], None, [256], [0, 256]).ravel()
+    share = counts / counts.sum()
+    bright = float(np.searchsorted(np.cumsum(share), 0.99))
     if bright < DARK_LEVEL:
         return [Reason(Cause.DARK, f"the picture is dark (99 % of it at or below grey level {bright:.0f} of 255)")]
-    saturated = float(np.mean(sample >= 254))
+    saturated = float(share[254:].sum())
     if saturated > OVEREXPOSED_SHARE:
         return [Reason(Cause.OVEREXPOSED, f"{100 * saturated:.0f} % of the picture is saturated; shorten the exposure")]
-    deviation = float(sample.std())
+    levels = np.arange(256.0)
+    deviation = float(np.sqrt(share @ (levels - share @ levels) ** 2))
     if deviation < FLAT_DEVIATION:
         text = (
             f"the picture is flat (standard deviation {deviation:.1f} grey levels): fog, or something covers the lens"
