@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import atexit
 import contextlib
 import os
+import shutil
 import sqlite3
 import subprocess
 import sys
+import tempfile
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -83,11 +87,13 @@ def stand_in_daemon(
             process.wait(30)
 
 
+@cache
 def in_memory() -> str:
-    """A folder for the status, as the service has from systemd."""
-    folder = Path("/dev/shm" if Path("/dev/shm").is_dir() else "/tmp") / f"sagnode-bench-{os.getpid()}"  # noqa: S108
-    folder.mkdir(exist_ok=True)
-    return str(folder)
+    """A folder for the status, as the service has from systemd; gone when this process ends."""
+    place = "/dev/shm" if Path("/dev/shm").is_dir() else None  # noqa: S108
+    folder = tempfile.mkdtemp(prefix="sagnode-bench-", dir=place)
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    return folder
 
 
 def broker_table(broker: EmbeddedBroker, port: int | None = None) -> dict[str, Any]:

@@ -65,7 +65,7 @@ def daemon_soak(plan: Plan, readings: int) -> dict[str, Any]:
                 if done > 0:
                     steps.append(done)
                     resident.append(kb)
-            time.sleep(0.25)
+            time.sleep(0.1)
         if process.returncode:
             raise RuntimeError(f"the daemon ended with {process.returncode}; see {plan.folder / 'daemon.log'}")
     return _told(steps, resident) | {"peak_kb": max(resident)}
