@@ -70,4 +70,4 @@ def _among_others(
         clear = replace(masked, rival=found.rival, doubtful_load=found.doubtful_load)
     else:
         others = []
-    return replace(completed(image, conductor, registered, clear, others), unaided=found)
+    return replace(completed(image, conductor, registered, clear, others), unaided=clear)

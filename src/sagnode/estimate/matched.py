@@ -79,8 +79,8 @@ class Matched:
     rival: float = 0.0
     """Response of the best different curve over this one's where the two part; 0 if there is none."""
     unaided: Matched | None = None
-    """What was measured before other wires were masked and the wire itself foretold where to look: that cannot have
-    leant on the load that was assumed."""
+    """What was measured before the wire itself foretold where to look: that cannot have leant on the load that was
+    assumed."""
     doubtful_load: bool = False
     """The wire hangs unevenly by its misfit, and no uneven load was found that explains it better."""
 
