@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from sagnode.calibrate.files import save_intrinsics
+from sagnode.capture.images import read_grey
 from sagnode.config.load import load_span
 from sagnode.estimate.even import find_even
 from sagnode.estimate.evidence import single_loads, unevenness
@@ -23,6 +24,7 @@ from sagnode.scene.presets import preset_scene, typical_states
 from sagnode.scene.render import render
 from sagnode.scene.site import demo_site, site_directory
 from sagnode.scene.spec import Moment
+from sagnode.scene.truth import read_truth
 
 
 def measured(tmp_path: Path, *loads: Load) -> tuple[ConductorMeasurement, float, float]:
@@ -98,6 +100,20 @@ def test_weights_on_a_span_seen_along_the_line_are_never_taken_for_a_wrong_swing
             continue
         assert abs(reading.estimates["sag"].value - true[reading.conductor]) < 3 * reading.estimates["sag"].u
         assert Cause.ICE_SUSPECT in [r.cause for r in reading.reasons]
+
+
+def test_where_the_load_is_left_open_the_interval_holds_both_answers() -> None:
+    """In a gust one wire swings by 6°, its neighbours by 2° to 3°: the picture cannot say that it is no weight."""
+    file = next(site_directory().rglob("20260621T153000Z.jpg"))
+    site = load_site(load_span(site_directory() / "span.toml").span)
+    reading = next(r for r in measure_burst(site, [read_grey(file)]) if r.conductor == "L1")
+    true = read_truth(file).conductors["L1"]["sag"]
+    sag, parts = reading.estimates["sag"], reading.budget["sag"]
+    assert reading.reasons[0].cause is Cause.ICE_SUSPECT
+    assert abs(sag.value - true) < 0.05, "the even load is by far the likelier"
+    assert parts["even or uneven load"] > 0.1
+    assert np.sqrt(sum(u**2 for u in parts.values())) == pytest.approx(sag.u)
+    assert "load_skew" not in reading.estimates
 
 
 def test_even_wires_on_a_span_seen_along_the_line_are_not_suspected() -> None:

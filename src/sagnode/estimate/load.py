@@ -38,6 +38,8 @@ SUSPECT_SUPPORT, SUSPECT_SHARE = 0.6, 0.35
 """Where less of an even curve, or of the span, shows a wire, it is tried: what is beside the curve cannot ask."""
 SURELY = 0.5
 """Probability of one conductor's uneven load from which no other is taken for even: ice does not fall on one alone."""
+LIKELIER = 0.5
+"""Probability from which the uneven load is told and the even one only held by the interval; below, the reverse."""
 DOUBTFUL = 9.0
 """Misfit that a light uneven load would take off, from which an even one is not believed; bare wires rarely reach 5."""
 ONE_STEP = 50.0
@@ -133,7 +135,8 @@ def settle_loads(
             settled.append(each.even)
             continue
         others = [other for other in (*believed[:k], *believed[k + 1 :]) if other]
-        settled.append(_refined(image, registered, each, found, expected_swing(others, each.swing_u)))
+        refined = _refined(image, registered, each, found, expected_swing(others, each.swing_u))
+        settled.append(_either(each, refined, probable[k]))
     return settled
 
 
@@ -208,6 +211,16 @@ def _refined(
     # what rivalled the even curve is that much less of a rival to one that lies better on the wire
     rival = each.even.rival * min(1.0, each.even.response / max(refined.response, 1e-3)) if each.even else 0.0
     return looked_at(image, replace(refined, rival=rival))
+
+
+def _either(each: Doubt, refined: Matched | None, probable: float) -> Matched | None:
+    """The likelier of even and uneven load, with the other beside it where neither can be left out."""
+    if each.even is None or not each.strains or each.is_strained() or each.hardly_seen() or 1 - probable < LET_IN:
+        return refined
+    if refined is None or not refined.survey.load_u or not refined.solution.converged:
+        return refined
+    likelier, other = (refined, each.even) if probable > LIKELIER else (each.even, refined)
+    return replace(likelier, other=other)
 
 
 def _tilted(

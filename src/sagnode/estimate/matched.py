@@ -81,6 +81,9 @@ class Matched:
     unaided: Matched | None = None
     """What was measured before the wire itself foretold where to look: that cannot have leant on the load that was
     assumed."""
+    other: Matched | None = None
+    """The conductor under the other load, even or uneven, where the picture leaves open which of them it is: what is
+    told holds both."""
     doubtful_load: bool = False
     """The wire hangs unevenly by its misfit, and no uneven load was found that explains it better."""
 

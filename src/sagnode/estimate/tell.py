@@ -109,7 +109,7 @@ def propagate(
 ) -> tuple[dict[str, Estimate], dict[str, dict[str, float]]]:
     """Estimates by quantity stem, and the standard uncertainty of each by source."""
     theta, survey = found.solution.theta, found.survey
-    calm = abs(float(theta[SWING])) < TEMPERATURE_SWING and not survey.load_u
+    calm = abs(float(theta[SWING])) < TEMPERATURE_SWING and not survey.load_u and found.other is None
     around, steps = _around(found)
     all_values = _values(site, conductor, survey, around, calm=calm)
     table = np.array(list(all_values.values()))
@@ -119,6 +119,7 @@ def propagate(
     linear = np.sum((g @ np.stack(list(pieces.values()))) * g, axis=-1)
     # half the second difference over one standard uncertainty of swing to both sides (JCGM 100, 5.1.2, note)
     second = 0.5 * (table[:, -2] + table[:, -1] - 2 * table[:, 0]) ** 2
+    other = {} if found.other is None else propagate(site, conductor, found.other)[0]
     estimates, budget = {}, {}
     for row, stem in enumerate(all_values):
         value = float(table[row, 0])
@@ -131,6 +132,10 @@ def propagate(
             parts["survey along the span"] = survey.attachment_u**2
         if stem == "clearance_along":
             parts["ground"] = clearance_place_u(survey.shape(theta), site.ground) ** 2
+        if stem in other:
+            # the 95 % interval reaches as far as the value under the other load, and is no narrower than that one's
+            beyond = other[stem].u ** 2 - sum(parts.values())
+            parts["even or uneven load"] = ((other[stem].value - value) / K95) ** 2 + max(beyond, 0.0)
         u = float(np.sqrt(sum(parts.values())))
         estimates[stem] = Estimate(value, u, value - K95 * u, value + K95 * u)
         budget[stem] = {name: math.sqrt(max(part, 0.0)) for name, part in parts.items()}
