@@ -273,9 +273,10 @@ static double uneven_noise(task *t, double first)
             windows[k * n + j] = profile[column];
         }
         level(windows + k * n, n, 1);
-        memcpy(turned + k * n, t->slopes + t->order[k] * n, (size_t)n * sizeof *turned);
+        const double *slopes = t->slopes + t->order[k] * n;
         double tilt = 0.0, steps = 0.0;
         for (int j = 0; j < n; j++) {
+            turned[k * n + j] = slopes[j];
             tilt += (j - n / 2) * turned[k * n + j];
             steps += (double)(j - n / 2) * (j - n / 2);
         }
