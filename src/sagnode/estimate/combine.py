@@ -38,7 +38,9 @@ def _combine(frames: list[FrameMeasurement]) -> ConductorMeasurement:
     nearest = min(kept, key=lambda f: abs(f.estimates["sag"].value - centre))
     validity = max((f.validity for f in kept), key=lambda v: v is Validity.QUESTIONABLE)
     reasons = tuple({r.cause: r for f in kept for r in f.reasons}.values())
-    estimates = {stem: _mean([f.estimates[stem] for f in kept]) for stem in nearest.estimates}
+    # what only some of the frames tell, as that a load is uneven, is not what the burst tells
+    common = [stem for stem in nearest.estimates if all(stem in f.estimates for f in kept)]
+    estimates = {stem: _mean([f.estimates[stem] for f in kept]) for stem in common}
     scatter = float(np.std(sags, ddof=1)) if len(sags) > 1 else 0.0
     random = nearest.budget["sag"].get("pixel noise", 0.0)
     if scatter > max(DISAGREE_Z * random, 0.03) and scatter > nearest.estimates["sag"].u:

@@ -127,7 +127,7 @@ def _not_certain(found: Matched, sag: Estimate) -> list[Reason]:
 def _ice(found: Matched) -> list[Reason]:
     if not found.survey.load_u:
         text = "the load may be uneven, ice or a weight on a part of the span; the intervals hold that as well"
-        return [] if found.other is None else [Reason(Cause.ICE_SUSPECT, text)]
+        return [] if found.other_weight < 1 else [Reason(Cause.ICE_SUSPECT, text)]
     skew, u = float(found.solution.theta[LOAD.start]), float(np.sqrt(found.solution.covariance[LOAD.start, LOAD.start]))
     text = (
         "the wire hangs, or may hang, as under an uneven load, ice or a weight on a part of the span:"

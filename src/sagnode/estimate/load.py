@@ -31,6 +31,8 @@ LOAD_U = 0.45
 half of the conductor's own weight is a first term of 0.3, and a short piece of heavy ice reaches 0.6 in several."""
 LOADS_U = (0.1, LOAD_U)
 """The same for a light load and a heavy one: with these an even curve's residuals are asked whether there is one."""
+ASKED = 0.01
+"""Probability of an uneven load from which what it says widens what is told, the more the nearer it is to LET_IN."""
 LET_IN = 0.04
 """Probability from which an uneven load is let in: before looking it is 0.028, a view that cannot tell leaves about as
 much, and one that can tell and shows no sign of it less than 0.01."""
@@ -126,7 +128,8 @@ def settle_loads(
         (each.as_even(), _as_uneven(registered, each, found)) for each, found in zip(doubts, followed, strict=True)
     ]
     probable = _probable(explained, doubts)
-    uneven = [p > LET_IN or max(probable) > SURELY for p in probable]
+    iced = max(probable) > SURELY
+    uneven = [p > ASKED or iced for p in probable]
     # what a light load would let the others expect holds for no heavy one, which the last explanation is
     believed = [pair[1][-1:] if other else pair[0] for pair, other in zip(explained, uneven, strict=True)]
     settled: list[Matched | None] = []
@@ -136,7 +139,7 @@ def settle_loads(
             continue
         others = [other for other in (*believed[:k], *believed[k + 1 :]) if other]
         refined = _refined(image, registered, each, found, expected_swing(others, each.swing_u))
-        settled.append(_either(each, refined, probable[k]))
+        settled.append(_either(each, refined, probable[k], iced=iced))
     return settled
 
 
@@ -157,7 +160,7 @@ def _probable(explained: list[tuple[list[Explanation], list[Explanation]]], doub
 def _suspect(doubts: list[Doubt]) -> list[bool]:
     """Which conductors may hang unevenly, by their even curves alone."""
     explained = [(each.as_even(), each.as_uneven()) for each in doubts]
-    return [each.hardly_seen() or p > LET_IN for each, p in zip(doubts, _probable(explained, doubts), strict=True)]
+    return [each.hardly_seen() or p > ASKED for each, p in zip(doubts, _probable(explained, doubts), strict=True)]
 
 
 def _follow(image: GreyImage, registered: Registered, each: Doubt) -> Matched | None:
@@ -213,14 +216,18 @@ def _refined(
     return looked_at(image, replace(refined, rival=rival))
 
 
-def _either(each: Doubt, refined: Matched | None, probable: float) -> Matched | None:
+def _either(each: Doubt, refined: Matched | None, probable: float, *, iced: bool) -> Matched | None:
     """The likelier of even and uneven load, with the other beside it where neither can be left out."""
-    if each.even is None or not each.strains or each.is_strained() or each.hardly_seen() or 1 - probable < LET_IN:
+    if each.even is None or not each.strains or each.is_strained():
         return refined
-    if refined is None or not refined.survey.load_u or not refined.solution.converged:
-        return refined
+    let_in = iced or probable > LET_IN
+    if each.hardly_seen() or refined is None or not refined.survey.load_u or not refined.solution.converged:
+        # a load that is hardly likely need not be followed to its end
+        return refined if let_in else each.even
     likelier, other = (refined, each.even) if probable > LIKELIER else (each.even, refined)
-    return replace(likelier, other=other)
+    chance = min(probable, 1 - probable)
+    weight = 1.0 if iced and likelier is each.even else (chance - ASKED) / (LET_IN - ASKED)
+    return replace(likelier, other=other, other_weight=min(weight, 1.0)) if weight > 0 else likelier
 
 
 def _tilted(

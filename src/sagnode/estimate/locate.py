@@ -67,7 +67,13 @@ def _among_others(
         masked = refine(image, conductor, found.survey, registered, start, others, stages, found.track)
         if masked is None:
             return None
-        clear = replace(masked, rival=found.rival, other=found.other, doubtful_load=found.doubtful_load)
+        clear = replace(
+            masked,
+            rival=found.rival,
+            other=found.other,
+            other_weight=found.other_weight,
+            doubtful_load=found.doubtful_load,
+        )
     else:
         others = []
     return replace(completed(image, conductor, registered, clear, others), unaided=clear)

@@ -84,6 +84,8 @@ class Matched:
     other: Matched | None = None
     """The conductor under the other load, even or uneven, where the picture leaves open which of them it is: what is
     told holds both."""
+    other_weight: float = 0.0
+    """How much of the way towards the other load the intervals reach, 0..1: less where that one is hardly likely."""
     doubtful_load: bool = False
     """The wire hangs unevenly by its misfit, and no uneven load was found that explains it better."""
 

@@ -135,7 +135,8 @@ def propagate(
         if stem in other:
             # the 95 % interval reaches as far as the value under the other load, and is no narrower than that one's
             beyond = other[stem].u ** 2 - sum(parts.values())
-            parts["even or uneven load"] = ((other[stem].value - value) / K95) ** 2 + max(beyond, 0.0)
+            reach = ((other[stem].value - value) / K95) ** 2 + max(beyond, 0.0)
+            parts["even or uneven load"] = found.other_weight * reach
         u = float(np.sqrt(sum(parts.values())))
         estimates[stem] = Estimate(value, u, value - K95 * u, value + K95 * u)
         budget[stem] = {name: math.sqrt(max(part, 0.0)) for name, part in parts.items()}
