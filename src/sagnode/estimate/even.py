@@ -153,6 +153,8 @@ def _a_spacing_aside(image: GreyImage, found: Matched, conductor: SiteConductor)
     A pattern that lies a spacing off covers a part of the bundle and looks like half an answer; against the right one
     it must lose. Only those come back near which the picture shows about as much; none for a single wire.
     """
+    if len(conductor.members) == 1:
+        return []
     theta = found.solution.theta
     starts: list[FloatArray] = []
     shape = found.survey.shape(theta)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 from math import erfc, pi, sqrt
 
 import numpy as np
@@ -138,12 +139,19 @@ def _single_shapes(t: FloatArray) -> FloatArray:
     """
     places = (np.arange(PIECES) + 0.5) / PIECES
     bent = 8 * np.minimum(t[:, None], places) * (1 - np.maximum(t[:, None], places)) - (4 * t * (1 - t))[:, None]
-    stretches = [
-        bent[:, first : first + length].mean(axis=1)
-        for length in STRETCHES
-        for first in range(0, PIECES - length + 1, max(1, length // 2))
-    ]
-    return np.stack(stretches, axis=1)
+    return np.asarray(bent @ _stretches())
+
+
+@cache
+def _stretches() -> FloatArray:
+    """Share of each piece of the span (PIECES, K) in every stretch that may be loaded."""
+    columns = []
+    for length in STRETCHES:
+        for first in range(0, PIECES - length + 1, max(1, length // 2)):
+            column = np.zeros(PIECES)
+            column[first : first + length] = 1 / length
+            columns.append(column)
+    return np.stack(columns, axis=1)
 
 
 def log_odds(rich: Solution, rich_survey: Survey, simple: Solution, simple_survey: Survey) -> float:
