@@ -40,7 +40,7 @@ def quick(folder: Path) -> Plan:
     return Plan(
         folder=folder,
         thorough=False,
-        rounds=5,
+        rounds=15,
         slow_rounds=2,
         literal_templates={"lab": 75, "tower": 20, "field": 6},
         widths=(728, 1456, 2912),
