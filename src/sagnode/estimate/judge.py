@@ -23,6 +23,8 @@ VISIBLE_GOOD = 0.33
 """Shares of the span that must be seen for a questionable and for a good reading."""
 UNEVEN_VISIBLE_MIN = 0.5
 """The same under an uneven load: nobody knows how a wire goes on where it is not seen."""
+UNEVEN_LANDMARKS_MIN = 0.6
+"""Share of the landmarks that must be recognised there: in another scene, or a mirrored one, half may fit by chance."""
 SAG_U_MAX = 0.04
 """Relative standard uncertainty of sag above which linear propagation no longer holds."""
 PRIOR_Z_MAX = 5.0
@@ -59,15 +61,23 @@ def look(site: Site, image: GreyImage) -> list[Reason]:
 
 
 def judge(
-    site: Site, conductor: SiteConductor, found: Matched | None, estimates: dict[str, Estimate]
+    site: Site,
+    conductor: SiteConductor,
+    found: Matched | None,
+    estimates: dict[str, Estimate],
+    landmarks: float | None = None,
 ) -> tuple[Validity, list[Reason]]:
-    """Validity and reasons of one conductor's estimate; an invalid one carries no numbers."""
+    """Validity and reasons of one conductor's estimate; an invalid one carries no numbers.
+
+    ``landmarks`` is the share of those that the reference picture shows which were recognised, where there is one.
+    """
     if found is None:
         return Validity.INVALID, [Reason(Cause.NO_CONDUCTOR, "no curve of this conductor lies on anything like a wire")]
     invalid = [
         *_not_a_wire(found),
         *_not_this_conductor(conductor, found, estimates["inplane_sag"]),
         *_not_certain(found, estimates["sag"]),
+        *_not_this_scene(found, landmarks),
     ]
     if invalid:
         return Validity.INVALID, invalid
@@ -122,6 +132,16 @@ def _not_certain(found: Matched, sag: Estimate) -> list[Reason]:
         text = f"standard uncertainty of sag is {100 * share:.1f} % of it; the view or the survey is too weak"
         reasons += [Reason(Cause.UNCERTAIN, text), *_ice(found)]
     return reasons
+
+
+def _not_this_scene(found: Matched, landmarks: float | None) -> list[Reason]:
+    if not found.survey.load_u or landmarks is None or landmarks >= UNEVEN_LANDMARKS_MIN:
+        return []
+    text = (
+        f"only {100 * landmarks:.0f} % of the landmarks are recognised, and the wire lies on its place under an uneven"
+        f" load alone, whose terms can bend to what is there (needs {100 * UNEVEN_LANDMARKS_MIN:g} %)"
+    )
+    return [Reason(Cause.LANDMARKS_LOST, text), *_ice(found)]
 
 
 def _ice(found: Matched) -> list[Reason]:

@@ -66,7 +66,9 @@ def tell(
     if found is not None:
         estimates, budget = propagate(site, conductor, found)
     # judge: may it be told?
-    validity, reasons = judge(site, conductor, found, estimates)
+    tracked = registered.tracked
+    landmarks = None if tracked is None else tracked.count / max(int(tracked.visible.sum()), 1)
+    validity, reasons = judge(site, conductor, found, estimates, landmarks)
     told = validity is not Validity.INVALID
     return FrameMeasurement(
         conductor=conductor.id,
