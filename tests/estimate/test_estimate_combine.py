@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 from sagnode.estimate.combine import combine_burst
@@ -54,6 +56,15 @@ def test_the_most_frequent_reason_speaks_for_a_burst_that_is_mostly_refused() ->
     assert [reason.cause for reason in one.reasons] == [Cause.LOW_CONTRAST]
     assert one.estimates == {} and one.budget == {}
     assert (one.frames_used, one.frames_rejected) == (0, 4)
+
+
+def test_what_only_some_frames_tell_the_burst_does_not() -> None:
+    uneven = seen(8.01)
+    uneven = replace(uneven, estimates={**uneven.estimates, "load_skew": Estimate(0.2, 0.05, 0.1, 0.3)})
+    assert set(combined(uneven, uneven).estimates) == {"sag", "load_skew"}
+    # whichever of them lies nearest to the middle
+    for frames in ((seen(8.0), uneven, seen(8.02)), (uneven, seen(8.0), uneven)):
+        assert set(combined(*frames).estimates) == {"sag"}
 
 
 def test_half_of_the_frames_are_enough_and_the_worse_judgement_counts() -> None:

@@ -156,3 +156,15 @@ def test_each_defect_is_refused_by_its_name(change: str, cause: Cause) -> None:
     validity, reasons = judge(site, conductor, match, estimates)
     assert validity is Validity.INVALID
     assert cause in [r.cause for r in reasons]
+
+
+@pytest.mark.parametrize(("share", "refused"), [(None, False), (1.0, False), (0.6, False), (0.5, True)])
+def test_an_uneven_load_is_told_only_in_a_scene_that_is_surely_the_surveyed_one(
+    share: float | None, refused: bool
+) -> None:
+    site, conductor, match = along_the_line()
+    estimates, _ = propagate(site, conductor, match)
+    uneven = replace(match, survey=replace(match.survey, load_u=0.45))
+    for found, expected in ((match, False), (uneven, refused)):
+        _, reasons = judge(site, conductor, found, estimates, share)
+        assert (Cause.LANDMARKS_LOST in [r.cause for r in reasons]) is expected
