@@ -4,13 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from both_ways import in_numpy
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sagnode.geometry import camera, conductor
+from sagnode.geometry import camera
 from sagnode.geometry.camera import Intrinsics, Pose, rotation_from_angles
 from sagnode.geometry.conductor import conductor_points
-from sagnode.match import templates, track
 from sagnode.match.templates import View, visible_part
 from sagnode.match.track import trace
 from sagnode.native import kernels
@@ -34,14 +34,6 @@ def view(seed, lens="pinhole"):
     load = tuple(rng.normal(0, 0.2, rng.integers(1, 11))) if seed % 3 == 0 else ()
     sag = rng.uniform(0.001, 0.08) * far[1]
     return View(LENSES[lens], pose, near, far, 0.03, load), sag, rng.normal(0, 0.4)
-
-
-def in_numpy(asked):
-    """What a function answers without the extension."""
-    with pytest.MonkeyPatch.context() as patch:
-        for room in (camera, conductor, templates, track):
-            patch.setattr(room, "kernels", None)
-        return asked()
 
 
 @pytest.mark.parametrize("lens", LENSES)

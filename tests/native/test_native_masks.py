@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from both_ways import in_numpy
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -12,12 +13,6 @@ from sagnode.match.track import Track
 from sagnode.native import kernels
 
 pytestmark = pytest.mark.skipif(kernels is None, reason="the extension was not built here")
-
-
-def in_numpy(room, call, *asked):
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(room, "kernels", None)
-        return call(*asked)
 
 
 def polyline(rng, count):
@@ -35,7 +30,7 @@ def test_what_runs_near_is_what_numpy_finds(seed):
     other = polyline(rng, int(rng.integers(1, 900))) + rng.uniform(-20, 20, 2)
     other[rng.uniform(size=len(other)) < 0.1 * (seed % 3)] = np.nan
     asked = (pixels[::3], normal[::3], other, reach[::3])
-    np.testing.assert_array_equal(masks.near(*asked), in_numpy(masks, masks.near, *asked))
+    np.testing.assert_array_equal(masks.near(*asked), in_numpy(masks.near, *asked))
 
 
 @settings(max_examples=100, deadline=None)
@@ -47,7 +42,7 @@ def test_where_a_curve_folds_back_is_where_numpy_finds_it(seed):
     track = Track(np.arange(count), pixels, normals(pixels), np.ones(count), arc_length(pixels), np.zeros((1, count)))
     index = np.sort(rng.integers(0, count, 50))
     asked = (track, index, rng.uniform(1, 40, 50))
-    np.testing.assert_array_equal(masks.folds_back(*asked), in_numpy(masks, masks.folds_back, *asked))
+    np.testing.assert_array_equal(masks.folds_back(*asked), in_numpy(masks.folds_back, *asked))
 
 
 @settings(max_examples=200, deadline=None)
@@ -64,7 +59,7 @@ def test_blocks_stand_out_where_they_do_in_numpy(seed):
     beside = Beside(np.round(rng.uniform(0, 12, (places, count)), seed % 3), rng.uniform(size=(places, count)) < 0.9)
     half_range = rng.choice([1.0, 3.0], count) if seed % 5 else np.full(count, 3.0)
     asked = (blocks, beside, rng.uniform(size=count) < 0.2, half_range, 3.0, int(rng.integers(0, 5)))
-    found, expected = standing.stand_out(*asked), in_numpy(standing, standing.stand_out, *asked)
+    found, expected = standing.stand_out(*asked), in_numpy(standing.stand_out, *asked)
     for name in ("offset", "sigma", "rank"):
         np.testing.assert_allclose(getattr(found, name), getattr(expected, name), rtol=1e-9, err_msg=name)
     np.testing.assert_array_equal(found.usable, expected.usable)
@@ -114,7 +109,7 @@ def test_windows_stand_out_where_they_do_in_numpy(seed):
     arc = np.cumsum(rng.uniform(0.5, 4, count))
     t = np.linspace(0.1, rng.uniform(0.1, 1), count)[:: (1, -1)[seed % 2]]
     asked = (response, np.ascontiguousarray(t), arc)
-    found, expected = sight.compared(*asked), in_numpy(sight, sight.compared, *asked)
+    found, expected = sight.compared(*asked), in_numpy(sight.compared, *asked)
     assert found.score == pytest.approx(expected.score, rel=1e-6)
     assert (found.judged, found.outstanding) == (expected.judged, expected.outstanding)
     np.testing.assert_array_equal(found.seen, expected.seen)

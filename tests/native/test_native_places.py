@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
+from both_ways import in_numpy
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sagnode.geometry.camera import Intrinsics, Pose, rotation_from_angles
-from sagnode.match import family as room
 from sagnode.match.family import Family
 from sagnode.match.templates import View
 from sagnode.native import kernels
@@ -20,11 +20,8 @@ LENSES = {
 }
 
 
-def both_ways(family, lens, part, sags, swings, **of):
-    compiled = family.placed(lens, part, sags, swings, **of)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(room, "kernels", None)
-        return compiled, family.placed(lens, part, sags, swings, **of)
+def both_ways(family, *asked, **of):
+    return family.placed(*asked, **of), in_numpy(family.placed, *asked, **of)
 
 
 @settings(max_examples=60, deadline=None)

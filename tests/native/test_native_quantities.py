@@ -2,23 +2,15 @@
 
 import numpy as np
 import pytest
+from both_ways import in_numpy
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sagnode.geometry import conductor
-from sagnode.geometry import quantities as room
 from sagnode.geometry.ground import GroundProfile
 from sagnode.geometry.quantities import Shape, clearance_place_u, quantities, quantities_of_many
 from sagnode.native import kernels
 
 pytestmark = pytest.mark.skipif(kernels is None, reason="the extension was not built here")
-
-
-def in_numpy(asked):
-    with pytest.MonkeyPatch.context() as patch:
-        for each in (room, conductor):
-            patch.setattr(each, "kernels", None)
-        return asked()
 
 
 def question(seed):

@@ -4,14 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from both_ways import in_numpy
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sagnode.estimate import camera as estimate_camera
 from sagnode.estimate import joint
 from sagnode.estimate.camera import CameraKnowledge, LandmarkObservations, solve_camera
 from sagnode.estimate.joint import CurveObservations, curve_terms, curve_uncertainty, solve
-from sagnode.geometry import camera, conductor
 from sagnode.geometry.camera import Intrinsics, Pose, project, rotation_from_angles
 from sagnode.native import kernels
 from sagnode.survey import SAG, SIZE, SWING, Survey
@@ -64,13 +63,6 @@ def question(seed, lens="pinhole", count=None):
     start[SAG] *= rng.uniform(0.9, 1.1)
     start[SWING] += rng.normal(0, 0.1)
     return survey, start, CameraKnowledge(rows.T @ rows, 0.1 * rows.T @ rng.normal(0, 1, 6)), curve
-
-
-def in_numpy(asked):
-    with pytest.MonkeyPatch.context() as patch:
-        for room in (joint, estimate_camera, camera, conductor):
-            patch.setattr(room, "kernels", None)
-        return asked()
 
 
 @pytest.mark.parametrize("lens", LENSES)
