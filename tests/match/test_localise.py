@@ -126,3 +126,27 @@ def test_a_wire_unlike_its_kernel_is_as_certain_as_it_is_alike_on_both_sides(mis
     error, sigma = np.concatenate(errors), np.concatenate(sigmas)
     assert np.median(sigma) < 0.05, "a width that is wrong by a fifth does not move the wire"
     assert (error / sigma).std() < 1.4
+
+
+def test_halves_agree_on_a_wire_and_contradict_each_other_where_something_else_crosses() -> None:
+    rng = np.random.default_rng(9)
+    pixels, normal = curve(60.3)
+    wire = strip(rng, 60.0, 1.5, -40, 3)
+    # the leg of a tower, at 12 degrees to the curve
+    v, u = np.mgrid[0:120, 0:400].astype(float)
+    leg = wire_kernel(3.0, (v - 60.0) * np.cos(np.pi / 15) - (u - 200.0) * np.sin(np.pi / 15), 0.8)
+    crossed = np.clip(wire - 80 * leg, 0, 255).astype(np.uint8)
+
+    def measured(image: NDArray[np.uint8]) -> Floats:
+        blocks, _ = localise_beside(image, pixels, normal, 1.5, 5.0, (), 20.0, halves=True)
+        return np.stack([blocks.arc, blocks.sigma, blocks.scatter, blocks.offset])
+
+    _, sigma, scatter, _ = measured(wire)
+    assert np.median(scatter) < np.median(sigma)
+    assert np.max(scatter) < 0.1
+    arc, sigma, scatter, offset = measured(crossed)
+    # what leaves the range within a block shows in one half only
+    wrong = (np.abs(offset + 0.3) > 5 * sigma) & (np.abs(offset) < 4.5)
+    assert wrong.any()
+    assert (scatter[wrong] > 3 * sigma[wrong]).all()
+    assert np.max(scatter[np.abs(arc - 190.0) > 60.0]) < 0.1

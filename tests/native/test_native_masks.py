@@ -55,7 +55,7 @@ def test_blocks_stand_out_where_they_do_in_numpy(seed):
     snr = np.where(valid, rng.uniform(0, 30, count), 0.0)
     arc = np.cumsum(rng.uniform(4, 20, count))
     empty = np.zeros(count)
-    blocks = Blocks(empty, arc, offset, np.where(valid, 0.1, np.nan), snr, empty, empty, valid)
+    blocks = Blocks(empty, arc, offset, np.where(valid, 0.1, np.nan), snr, empty, empty, valid, empty)
     beside = Beside(np.round(rng.uniform(0, 12, (places, count)), seed % 3), rng.uniform(size=(places, count)) < 0.9)
     half_range = rng.choice([1.0, 3.0], count) if seed % 5 else np.full(count, 3.0)
     asked = (blocks, beside, rng.uniform(size=count) < 0.2, half_range, 3.0, int(rng.integers(0, 5)))

@@ -229,7 +229,9 @@ def _offsets(observed: Observed, *, bent: bool) -> CurveObservations:
     An even curve leaves texture aside, which then weighs little; the terms of an uneven load bend to it (``bent``).
     """
     use = observed.usable
-    sigma = np.hypot(observed.sigma, observed.texture) if bent else observed.sigma
+    sigma = np.hypot(observed.sigma, observed.scatter)
+    if bent:
+        sigma = np.hypot(sigma, observed.texture)
     return CurveObservations(
         t=observed.t[use],
         arc=observed.arc[use],

@@ -10,7 +10,7 @@ the sky and bright before trees.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -35,6 +35,8 @@ class Blocks:
         correlation: of the profile with the kernel, 0..1 (M,); how much the block looks like a wire at all.
         contrast: wire minus background, grey levels (M,); negative for a dark wire.
         valid: a peak inside the range, in a block inside the frame (M,).
+        scatter: standard uncertainty of the offset by which the block's two halves contradict each other more than
+            noise makes them, px (M,); 0 where that was not asked for.
     """
 
     index: FloatArray
@@ -45,6 +47,7 @@ class Blocks:
     correlation: FloatArray
     contrast: FloatArray
     valid: NDArray[np.bool_]
+    scatter: FloatArray
 
 
 @dataclass(frozen=True)
@@ -99,6 +102,7 @@ def localise_beside(
     blur_px: float = BLUR_PX,
     margin_px: float = MARGIN_PX,
     members: FloatArray | None = None,
+    halves: bool = False,
 ) -> tuple[Blocks, Beside]:
     """Measure the wire's offset as :func:`localise` does, and look likewise about the curve shifted across.
 
@@ -108,11 +112,14 @@ def localise_beside(
     ``members`` (m, N) are the offsets across the curve, px, of the sub-conductors of a bundle whose centre line the
     curve is. Each has its ribbon, and a kernel that shows the others where they are near; their scores add up, so that
     the offset is that of the whole pattern, and where the pattern lies a whole spacing off, only a part of it fits.
+
+    With ``halves`` each half of a block is measured too: a wire runs on through both, while the edge of something else
+    that crosses the curve has moved aside from one to the other.
     """
     if len(pixels) < 2:
         nothing = np.empty(0)
         empty = np.empty((len(shifts_px), 0))
-        blocks = Blocks(nothing, nothing, nothing, nothing, nothing, nothing, nothing, np.empty(0, dtype=bool))
+        blocks = Blocks(nothing, nothing, nothing, nothing, nothing, nothing, nothing, np.empty(0, dtype=bool), nothing)
         return blocks, Beside(empty, empty.astype(bool))
     arc = arc_length(pixels)
     starts = block_starts(arc, block_px)
@@ -132,8 +139,24 @@ def localise_beside(
         correlation=correlation,
         contrast=contrast,
         valid=seen.valid,
+        scatter=_scatter(image, stretch, size) if halves else np.zeros(len(starts)),
     )
     return blocks, Beside(seen.beside, seen.inside)
+
+
+def _scatter(image: AnyGrey, stretch: Stretch, size: NDArray[np.int64]) -> FloatArray:
+    """By how much blocks of ``size`` (M,) samples are less certain than their noise says, px (M,): from their halves.
+
+    A half that shows nothing contradicts nothing.
+    """
+    starts = np.stack([stretch.starts, stretch.starts + size // 2], axis=1)
+    if not (size > 1).all():
+        return np.zeros(len(size))
+    seen = _seen(image, replace(stretch, starts=starts.ravel()), np.zeros(1, dtype=np.int64))
+    offset, sigma = (part.reshape(starts.shape) for part in seen.blocks[:2])
+    excess = np.diff(offset, axis=1)[:, 0] ** 2 - np.sum(sigma**2, axis=1)
+    # the mean of two values is as uncertain as half their difference
+    return np.asarray(0.5 * np.sqrt(np.maximum(np.nan_to_num(excess), 0.0)))
 
 
 def _seen(image: AnyGrey, stretch: Stretch, centres: NDArray[np.int64]) -> Seen:

@@ -17,6 +17,8 @@ from sagnode.match.track import Track
 
 SHIFTS_PX = (16.0, -16.0, 23.0, -23.0, 31.0, -31.0, 11.0, -11.0)
 """Where the same curve is laid beside the wire to learn what the background alone looks like."""
+HALVED_PX = 12.0
+"""Length from which the halves of a block are long enough to be measured."""
 
 
 @dataclass(frozen=True)
@@ -32,6 +34,7 @@ class Observed:
         offset: of the wire along the normal, px (M,).
         sigma: standard uncertainty of the offset, px (M,): noise, and the chance that it is not the wire.
         texture: standard deviation of what the chance that this very block found texture adds, px (M,).
+        scatter: standard uncertainty by which its two halves contradict each other, px (M,).
         rank: share of shifted curves that look less like a wire here (M,), 0..1.
         usable: blocks inside the frame, ranked above the background, not near another wire (M,).
         masked: blocks left out because another wire runs there (M,).
@@ -45,6 +48,7 @@ class Observed:
     offset: FloatArray
     sigma: FloatArray
     texture: FloatArray
+    scatter: FloatArray
     rank: FloatArray
     usable: NDArray[np.bool_]
     masked: NDArray[np.bool_]
@@ -84,6 +88,7 @@ def observe(
         block_px,
         margin_px=margin,
         members=track.members,
+        halves=block_px >= HALVED_PX,
     )
     index = np.clip(np.rint(blocks.index), 0, len(track.t) - 1).astype(np.int64)
     pixel, normal = track.pixels[index], track.normal[index]
@@ -102,6 +107,7 @@ def observe(
         offset=stood.offset,
         sigma=stood.sigma,
         texture=texture_sigma(blocks.snr, own_range),
+        scatter=blocks.scatter,
         rank=stood.rank,
         usable=stood.usable,
         masked=masked,
