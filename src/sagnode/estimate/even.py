@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -22,7 +23,8 @@ from sagnode.match.track import mixed_samples, trace
 from sagnode.site import SiteConductor
 from sagnode.survey import ATTACHMENTS, SAG, SWING, Survey
 
-CANDIDATES = 4
+CANDIDATES, CANDIDATES_APART = 4, 8
+"""Candidates of the search that are refined; the second where another wire is in the way, which is among them."""
 COMPARED, COMPARED_SHARE = 32, 0.9
 """Samples of a refined curve that a candidate is compared at, and the share of them that must be near."""
 VALLEY_NODES = 9
@@ -46,9 +48,7 @@ def find_even(
     ``shelf`` holds the libraries that frames of the same burst have drawn before.
     """
     view = view_of(survey, conductor, registered.theta)
-    shelf = Shelf() if shelf is None else shelf
-    library = shelf.take(conductor.id, view, survey.sag_range, conductor.swing_max, survey.attachment_u)
-    candidates = search(image, library, survey.swing_u, CANDIDATES)
+    candidates = _candidates(image, conductor, survey, view, shelf, CANDIDATES)
     results: list[Matched] = []
     for candidate in candidates:
         # a curve on the wire shows at least what the search saw of it; what the search saw of others is flattered
@@ -58,13 +58,11 @@ def find_even(
             break
         if any(r.solution.converged and _near_enough(view, candidate, r) for r in results):
             continue
-        start = registered.theta.copy()
-        start[ATTACHMENTS] = 0.0
-        start[SAG], start[SWING] = candidate.sag, candidate.swing
+        start = _start(registered, candidate)
         results += filter(None, [refine(image, conductor, survey, registered, start, [], STAGES[:1])])
     if not results:
         return None
-    results.sort(key=_merit, reverse=True)
+    results.sort(key=merit, reverse=True)
     if not conductor.measured:
         # known to a pixel is enough to keep out of its way
         return results[0]
@@ -77,7 +75,49 @@ def find_even(
     refined += [refine(image, conductor, survey, registered, start, [], STAGES[1:]) for start in valley]
     aside = _a_spacing_aside(image, results[0], conductor)
     refined += [refine(image, conductor, survey, registered, start, [], STAGES) for start in aside]
-    finals = sorted(filter(None, refined), key=_merit, reverse=True)
+    return _best(image, refined)
+
+
+def find_apart(
+    image: GreyImage,
+    conductor: SiteConductor,
+    survey: Survey,
+    registered: Registered,
+    others: list[FloatArray],
+    shelf: Shelf | None = None,
+) -> Matched | None:
+    """A conductor where it is clear of other wires, polylines (K, 2), one of which it could be taken for.
+
+    The first stages of a refinement look so far aside that they would see those wires; a candidate of the search lies
+    near enough for the last.
+    """
+    view = view_of(survey, conductor, registered.theta)
+    refined = [
+        refine(image, conductor, survey, registered, _start(registered, candidate), others, STAGES[-1:])
+        for candidate in _candidates(image, conductor, survey, view, shelf, CANDIDATES_APART)
+    ]
+    return _best(image, [each for each in refined if each is not None and each.solution.converged])
+
+
+def _candidates(
+    image: GreyImage, conductor: SiteConductor, survey: Survey, view: View, shelf: Shelf | None, keep: int
+) -> list[Candidate]:
+    shelf = Shelf() if shelf is None else shelf
+    library = shelf.take(conductor.id, view, survey.sag_range, conductor.swing_max, survey.attachment_u)
+    return search(image, library, survey.swing_u, keep)
+
+
+def _start(registered: Registered, candidate: Candidate) -> FloatArray:
+    """θ (28,) of a candidate, its camera as the landmarks have it."""
+    start = registered.theta.copy()
+    start[ATTACHMENTS] = 0.0
+    start[SAG], start[SWING] = candidate.sag, candidate.swing
+    return start
+
+
+def _best(image: GreyImage, refined: Sequence[Matched | None]) -> Matched | None:
+    """The best of some refined conductors, with the strongest of the others as its rival."""
+    finals = sorted(filter(None, refined), key=merit, reverse=True)
     if not finals:
         return None
     rival = max((_rivalry(image, finals[0], other) for other in finals[1:]), default=0.0)
@@ -185,8 +225,8 @@ def _shown_near(image: GreyImage, view: View, theta: FloatArray) -> float:
     return float(np.max(np.where(seen, response, 0.0).sum(axis=1) / np.maximum(seen.sum(axis=1), 1)))
 
 
-def _merit(matched: Matched) -> float:
-    """How well a candidate explains the picture without contradicting the survey."""
+def merit(matched: Matched) -> float:
+    """How well a conductor as it was found explains the picture without contradicting the survey, grey levels."""
     return max(matched.response, 0.0) / (1 + max(0.0, attachment_z(matched) - 3.0))
 
 
@@ -205,4 +245,4 @@ def _rivalry(image: GreyImage, best: Matched, other: Matched) -> float:
         return 0.0
     own = float(np.nanmean(mine)) if np.isfinite(mine).any() else 0.0
     apart = float(np.nanmean(theirs)) / max(own, 1e-3)
-    return min(apart, _merit(other) / max(_merit(best), 1e-3))
+    return min(apart, merit(other) / max(merit(best), 1e-3))

@@ -6,12 +6,15 @@ from dataclasses import replace
 
 from sagnode.capture.port import GreyImage
 from sagnode.estimate.even import find_even
+from sagnode.estimate.identity import tell_apart
 from sagnode.estimate.load import settle_loads
 from sagnode.estimate.matched import (
     STAGES,
     Matched,
     completed,
     looked_at,
+    measured_share,
+    narrowed,
     refine,
     remaining_stages,
     survey_of,
@@ -21,11 +24,15 @@ from sagnode.match.library import Shelf
 from sagnode.match.masks import runs_near
 from sagnode.site import Site, SiteConductor
 
+BESIDE = 0.5
+"""Share of what is seen of a conductor alone below which too little of that is clear of others."""
+
 
 def locate(site: Site, image: GreyImage, registered: Registered, shelf: Shelf | None = None) -> dict[str, Matched]:
     """Find the measured conductors of a span, by id.
 
-    Every conductor, those that are only known about included, is first found alone under an even load. Those that run
+    Every conductor, those that are only known about included, is first found alone under an even load. Where two were
+    found on one wire, one of them is looked for beside it. Those that run
     close to another are refined once more with the others' curves masked, so that a neighbour cannot pull them, and
     all are completed. Then they are compared: their swings, and what is left over, say whether the load of any may be
     uneven; what is followed under an uneven load is kept clear of the others likewise.
@@ -33,6 +40,7 @@ def locate(site: Site, image: GreyImage, registered: Registered, shelf: Shelf | 
     ``shelf`` holds the libraries that frames of the same burst have drawn before.
     """
     alone = {c.id: find_even(image, c, survey_of(c, registered), registered, shelf) for c in site.conductors}
+    alone = tell_apart(image, site.conductors, registered, alone, shelf)
     measured = [c for c in site.conductors if c.measured]
     evens = {c.id: _among_others(image, c, registered, alone) for c in measured}
     # one that only shows where a neighbour runs is not told, but it asks for no uneven load either
@@ -65,6 +73,10 @@ def _among_others(
     if runs_near(found.track, others, STAGES[-1].half_range_px):
         start, stages = found.solution.theta, remaining_stages(found)
         masked = refine(image, conductor, found.survey, registered, start, others, stages, found.track)
+        if masked is None or measured_share(masked) < BESIDE * measured_share(found):
+            narrow = narrowed(image, conductor, registered, found, others)
+            if narrow is not None and (masked is None or measured_share(narrow) > measured_share(masked)):
+                masked = narrow
         if masked is None:
             return None
         clear = replace(

@@ -173,8 +173,20 @@ def completed(
         if float(np.mean(found.observed.usable)) > FORETOLD_ENOUGH or not found.solution.converged:
             break
         again = _foretold(image, conductor, registered, found, others, block_px)
-        if again is not None and again.solution.converged and _measured(again) > _measured(found):
+        if again is not None and again.solution.converged and measured_share(again) > measured_share(found):
             found = again
+    return found
+
+
+def narrowed(
+    image: GreyImage, conductor: SiteConductor, registered: Registered, found: Matched, others: list[FloatArray]
+) -> Matched | None:
+    """The same conductor, looked for no farther aside than its place is uncertain: others run beside it all along."""
+    for block_px in FORETOLD_BLOCKS_PX[:2]:
+        again = _foretold(image, conductor, registered, found, others, block_px, everywhere=True)
+        if again is None or not again.solution.converged:
+            return None
+        found = again
     return found
 
 
@@ -185,8 +197,13 @@ def _foretold(
     found: Matched,
     others: list[FloatArray],
     block_px: float,
+    *,
+    everywhere: bool = False,
 ) -> Matched | None:
-    """One more round of measuring and solving, each block looked for as far aside as the solved curve is uncertain."""
+    """One more round of measuring and solving, each block looked for as far aside as the solved curve is uncertain.
+
+    Those that were seen before keep the whole range, unless nothing does (``everywhere``).
+    """
     track, theta = found.track, found.solution.theta
     some = np.unique(np.linspace(0, len(track.t) - 1, FORETOLD_SAMPLES).astype(np.intp))
     places = CurveObservations(
@@ -195,7 +212,7 @@ def _foretold(
     sigma = np.interp(track.arc, track.arc[some], curve_uncertainty(found.survey, found.solution, places))
     # where the wire was seen without being foretold, all of it speaks: what a wrong idea of its load leaves over too
     half_range = np.where(
-        _of_blocks(found.observed, found.observed.usable, track.t),
+        _of_blocks(found.observed, found.observed.usable, track.t) & (not everywhere),
         STAGES[-1].half_range_px,
         np.minimum(STAGES[-1].half_range_px, FORETOLD_PX + FORETOLD_Z * sigma),
     )
@@ -290,7 +307,7 @@ def visible_share(matched: Matched) -> float:
     return _share(matched.track, matched.sighting.seen | _measured_at(matched))
 
 
-def _measured(matched: Matched) -> float:
+def measured_share(matched: Matched) -> float:
     """Share of the span's horizontal length over which blocks show the wire on the curve."""
     return _share(matched.track, _measured_at(matched))
 

@@ -1,0 +1,72 @@
+"""Conductors that run beside each other: told apart where they were found on one wire, and measured where clear."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import pytest
+
+from sagnode.calibrate.files import save_intrinsics
+from sagnode.config.node import Measure
+from sagnode.estimate.even import find_even
+from sagnode.estimate.identity import tell_apart
+from sagnode.estimate.matched import Matched, survey_of
+from sagnode.estimate.register import Registered, register
+from sagnode.pipeline import load_site, measure_frame
+from sagnode.scene.presets import simple_scene
+from sagnode.scene.render import Rendered, render
+from sagnode.site import Site
+
+SAGS = {"L1": 1.9, "L2": 2.3}
+
+
+def beside(apart_m: float, folder: Path) -> tuple[Site, Rendered, Registered]:
+    """Two conductors whose attachments are so far apart, seen along the line."""
+    scene, moment = simple_scene(SAGS, seed=4, width=960, height=720)
+    first, second = scene.surveyed.conductors
+    near, far = ((first_end[0] + apart_m, *first_end[1:]) for first_end in (first.near, first.far))
+    pair = (first, second.model_copy(update={"near": near, "far": far}))
+    span = scene.surveyed.model_copy(update={"conductors": pair})
+    picture = render(replace(scene, true=span, surveyed=span), moment)
+    reference, lens = folder / "reference.png", folder / "camera.yaml"
+    cv2.imwrite(str(reference), picture.image)
+    save_intrinsics(lens, scene.intrinsics)
+    camera = span.camera.model_copy(update={"reference_image": reference, "intrinsics": lens})
+    site = load_site(span.model_copy(update={"camera": camera}), Measure())
+    registered, reasons = register(site, picture.image)
+    assert not reasons
+    return site, picture, registered
+
+
+def found_alone(site: Site, picture: Rendered, registered: Registered) -> dict[str, Matched | None]:
+    return {c.id: find_even(picture.image, c, survey_of(c, registered), registered) for c in site.conductors}
+
+
+def test_wires_a_hand_apart_are_told_apart_and_measured(tmp_path: Path) -> None:
+    site, picture, registered = beside(0.2, tmp_path)
+    alone = found_alone(site, picture, registered)
+    # the search takes the lower wire for both
+    assert alone["L1"] is not None
+    assert alone["L1"].sag[0] == pytest.approx(SAGS["L2"], abs=0.05)
+    for m in measure_frame(site, picture.image):
+        assert abs(m.estimates["sag"].value - SAGS[m.conductor]) < 3 * m.estimates["sag"].u
+        assert m.estimates["sag"].u < 0.03
+
+
+@pytest.mark.parametrize("thief", ["L1", "L2"])
+def test_the_one_that_fits_better_keeps_the_wire(thief: str, tmp_path: Path) -> None:
+    site, picture, registered = beside(0.25, tmp_path)
+    alone = found_alone(site, picture, registered)
+    owner = "L2" if thief == "L1" else "L1"
+    told = tell_apart(picture.image, site.conductors, registered, {**alone, thief: alone[owner]})
+    for name, match in told.items():
+        assert match is not None
+        assert match.sag[0] == pytest.approx(SAGS[name], abs=0.02)
+
+
+def test_wires_that_lie_apart_and_wires_that_are_not_there_stay_as_they_are(tmp_path: Path) -> None:
+    site, picture, registered = beside(0.6, tmp_path)
+    alone = found_alone(site, picture, registered)
+    assert tell_apart(picture.image, site.conductors, registered, alone) == alone
+    lost = {**alone, "L2": None}
+    assert tell_apart(picture.image, site.conductors, registered, lost) == lost
