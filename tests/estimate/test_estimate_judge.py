@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from sagnode.config.load import load_span
 from sagnode.estimate.even import find_even
+from sagnode.estimate.joint import solve
 from sagnode.estimate.judge import judge
 from sagnode.estimate.matched import (
     Matched,
@@ -81,6 +82,29 @@ def test_a_wire_is_followed_where_the_rest_of_it_foretells_it() -> None:
     assert match.sag[1] < before.sag[1]
     for solution in (before.solution, match.solution):
         assert abs(solution.theta[SAG] - SAG_M) < 3 * np.sqrt(solution.covariance[SAG, SAG])
+
+
+def test_a_place_that_may_be_texture_widens_the_numbers_by_what_it_would_move_them() -> None:
+    site, conductor, match = along_the_line()
+    solution, curve = match.solution, match.solution.curve
+    far = int(np.argmax(curve.t))
+    texture = np.where(np.arange(len(curve.t)) == far, 0.5, 0.0)
+
+    def sag_u(texture: NDArray[np.float64]) -> float:
+        told = replace(match, solution=replace(solution, curve=replace(curve, texture=texture)))
+        return propagate(site, conductor, told)[0]["inplane_sag"].u
+
+    by_texture = np.sqrt(sag_u(texture) ** 2 - sag_u(0.0 * texture) ** 2)
+    # what the sag does when that place is measured elsewhere, for a little that robust weights take no notice of
+    little = 0.01
+    measured = curve.measured.copy()
+    measured[far] += little * curve.normal[far]
+    moved, still = (
+        solve(match.survey, solution.theta, solution.camera, each, 20).theta[SAG]
+        for each in (replace(curve, measured=measured), curve)
+    )
+    assert by_texture == pytest.approx(0.5 * abs(moved - still) / little, rel=0.2)
+    assert by_texture > 0.001
 
 
 def test_what_is_not_there_is_not_followed() -> None:

@@ -67,6 +67,8 @@ class CurveObservations:
         normal: unit normals (M, 2).
         measured: pixels (M, 2) on the wire: curve plus offset along the normal.
         sigma: white standard uncertainty of the offsets, px (M,).
+        texture: standard deviation of what the chance that an offset is no wire's adds to the estimate's uncertainty,
+            though it does not weigh in the estimate, px (M,); None where there is none beyond ``sigma``.
     """
 
     t: FloatArray
@@ -74,6 +76,7 @@ class CurveObservations:
     normal: FloatArray
     measured: FloatArray
     sigma: FloatArray
+    texture: FloatArray | None = None
 
     @cached_property
     def load_shapes(self) -> FloatArray:
@@ -130,7 +133,10 @@ class Solution:
         return self.white, shared
 
     def information(self, survey: Survey) -> dict[str, FloatArray]:
-        """The printed budget: the covariance split by source, Σ (P⁻¹ + Σ JᵀC⁻¹J) Σ term by term, each (28, 28)."""
+        """The printed budget: the covariance split by source, Σ (P⁻¹ + Σ JᵀC⁻¹J) Σ term by term, each (28, 28).
+
+        What offsets that are no wire's may do to the estimate comes on top of the covariance.
+        """
         posterior, sigma0 = self.covariance, survey.prior_sigma()
         pieces: dict[str, FloatArray] = {}
         for name, part in SOURCES.items():
@@ -141,6 +147,8 @@ class Solution:
         gain = posterior @ np.linalg.solve(np.diag(white) + correlated, self.jacobian).T / self.inflation
         pieces["pixel noise"] = (gain * (white * self.inflation)) @ gain.T
         pieces["correlated curve error"] = gain @ (correlated * self.inflation) @ gain.T
+        if self.curve.texture is not None:
+            pieces["texture taken for wire"] = (gain * self.curve.texture**2) @ gain.T
         return pieces
 
 
