@@ -243,8 +243,8 @@ def _foretold(
 def _offsets(observed: Observed, *, bent: bool) -> CurveObservations:
     """The usable blocks, as the joint estimate takes them.
 
-    An even curve leaves texture aside, which then weighs little; what it moves all the same is reckoned with afterwards.
-    The terms of an uneven load bend to it (``bent``).
+    An even curve leaves texture aside, which then weighs little; what it moves all the same is reckoned with later. The
+    terms of an uneven load bend to it (``bent``).
     """
     use = observed.usable
     sigma = np.hypot(observed.sigma, observed.scatter)
