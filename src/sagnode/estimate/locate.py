@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
+
 from sagnode.capture.port import GreyImage
 from sagnode.estimate.even import find_even
 from sagnode.estimate.identity import tell_apart
@@ -25,7 +27,7 @@ from sagnode.match.masks import runs_near
 from sagnode.site import Site, SiteConductor
 
 BESIDE = 0.5
-"""Share of what is seen of a conductor alone below which too little of that is clear of others."""
+"""Share of a conductor's blocks that others hide, looked at with the usual range, from which a narrow look is tried."""
 
 
 def locate(site: Site, image: GreyImage, registered: Registered, shelf: Shelf | None = None) -> dict[str, Matched]:
@@ -73,7 +75,7 @@ def _among_others(
     if runs_near(found.track, others, STAGES[-1].half_range_px):
         start, stages = found.solution.theta, remaining_stages(found)
         masked = refine(image, conductor, found.survey, registered, start, others, stages, found.track)
-        if masked is None or measured_share(masked) < BESIDE * measured_share(found):
+        if masked is None or float(np.mean(masked.observed.masked)) > BESIDE:
             narrow = narrowed(image, conductor, registered, found, others)
             if narrow is not None and (masked is None or measured_share(narrow) > measured_share(masked)):
                 masked = narrow
