@@ -103,11 +103,11 @@ def test_weights_on_a_span_seen_along_the_line_are_never_taken_for_a_wrong_swing
 
 
 def test_where_the_load_is_left_open_the_interval_holds_both_answers() -> None:
-    """In a gust one wire swings by 6°, its neighbours by 2° to 3°: the picture cannot say that it is no weight."""
+    """In a gust the three wires swing by different angles: the picture cannot say that it is no weight."""
     file = next(site_directory().rglob("20260621T153000Z.jpg"))
     site = load_site(load_span(site_directory() / "span.toml").span)
-    reading = next(r for r in measure_burst(site, [read_grey(file)]) if r.conductor == "L1")
-    true = read_truth(file).conductors["L1"]["sag"]
+    reading = next(r for r in measure_burst(site, [read_grey(file)]) if r.conductor == "L3")
+    true = read_truth(file).conductors["L3"]["sag"]
     sag, parts = reading.estimates["sag"], reading.budget["sag"]
     assert reading.reasons[0].cause is Cause.ICE_SUSPECT
     assert abs(sag.value - true) < 0.05, "the even load is by far the likelier"

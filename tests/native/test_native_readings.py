@@ -30,7 +30,7 @@ def readings(native):
 def test_a_reading_is_the_same_without_the_compiled_kernels():
     compiled, plain = readings("1"), readings("0")
     assert len(compiled) == len(plain) == 3 * len(FRAMES)
-    assert {one["quality"]["validity"] for one in plain} == {"good", "invalid"}
+    assert {one["quality"]["validity"] for one in plain} >= {"good", "invalid"}
     compared = 0
     for one, other in zip(compiled, plain, strict=True):
         assert one["conductor"] == other["conductor"]

@@ -10,20 +10,17 @@ from numpy.typing import NDArray
 
 from sagnode.capture.port import GreyImage
 from sagnode.geometry.camera import FloatArray
+from sagnode.match.closer import look_closer
 from sagnode.match.kernels import STEP_PX, bundle_kernels, kernel_reach, shared_noise, steps
 from sagnode.match.ribbon import straighten
+from sagnode.match.surer import ROUNDING_GREY, Found, settle
 
 AnyGrey = GreyImage | NDArray[np.float32]
 
 FLOOR_GREY = 0.2
 """Structure below this many grey levels is taken for 8-bit rounding: it cannot make a peak."""
-ROUNDING_GREY = 0.15
-"""Least noise of a block's mean profile: 8-bit rounding, averaged along the block."""
 BESIDE_SAMPLES = 6
 """Samples along a block that suffice to see what the surroundings look like."""
-UNEVEN = 1.1
-"""Factor of the noise seen on one side more than on the other, for what taking the lesser of two and leaving out the
-kernel's slope cost it; see the tests."""
 SHARING = 1.05
 """Factor of the variance (see ``kernels.shared_noise``) from which windows about sub-conductors share pixels."""
 SYMMETRIC_PX = 0.2
@@ -45,6 +42,7 @@ class Stretch:
         starts: first sample of each block (M,).
         blur_px: standard deviation of the picture's blur.
         margin_px: background taken in on either side.
+        exact: look closer at what was found.
     """
 
     pixels: FloatArray
@@ -55,6 +53,7 @@ class Stretch:
     starts: NDArray[np.int64]
     blur_px: float
     margin_px: float
+    exact: bool = True
 
     def block_sizes(self) -> NDArray[np.int64]:
         """Samples of each block (M,)."""
@@ -90,7 +89,7 @@ def look_across(image: AnyGrey, stretch: Stretch, centres: NDArray[np.int64]) ->
     members = stretch.members
     wires = [pixels + offset[:, None] * normal for offset in members] if len(members) > 1 else [pixels]
     middles = np.add.reduceat(members, starts, axis=1) / size
-    kernels = bundle_kernels(width, middles, STEP_PX * steps(near), stretch.blur_px)
+    kernels, norm = bundle_kernels(width, middles, STEP_PX * steps(near), stretch.blur_px)
     profiles = [_profiles(image, wire, normal, starts, reach + near, far + near) for wire in wires]
     compared = [compare(profile, kernel) for profile, kernel in zip(profiles, kernels, strict=True)]
     amplitude, energy = (np.sum(part, axis=0) for part in zip(*compared, strict=True))
@@ -103,11 +102,22 @@ def look_across(image: AnyGrey, stretch: Stretch, centres: NDArray[np.int64]) ->
     )
     offset = STEP_PX * (position - far)
     ends = np.asarray(STEP_PX * (centres[:, None] + np.array([-far - near, far + near])), dtype=np.float64)
-    uneven = _uneven_noise(profiles, kernels, middles, reach - far + position[0])
-    # where windows share pixels, the noise of one side is in the other too
-    sigma[0] *= np.where(overlap < SHARING, np.minimum(1.0, uneven / np.maximum(noise[0], ROUNDING_GREY)), 1.0)
+    at = reach - far + position[0]
+    found = Found(
+        sigma=sigma[0],
+        noise=noise[0],
+        uneven=_uneven(profiles, kernels, middles, at),
+        height=contrast[0] / (np.ptp(kernel, axis=1) * norm),
+        # where windows share pixels, the noise of one side is in the other too
+        alike=_symmetric(middles) & (overlap < SHARING) & np.isfinite(at),
+        correlated=np.sqrt(CORRELATED * overlap),
+    )
     seen = np.all([_inside(image, wire, normal, starts, ends) for wire in wires], axis=0)
     valid = seen & np.isfinite(offset) & (np.abs(offset) <= half_range)
+    columns = near + at if stretch.exact else np.full(len(starts), np.nan)
+    close = look_closer(profiles, middles, width, columns, stretch.margin_px, near)
+    surer, sigma[0] = settle(found, close)
+    offset[0] += np.where(surer, close.farther, 0.0)
     unknown = np.array([np.nan, np.nan, 0.0, 0.0, 0.0])[:, None]
     blocks = np.where(valid[0], [offset[0], sigma[0], snr[0], likeness[0], contrast[0]], unknown)
     middle = starts + size // 2
@@ -192,19 +202,16 @@ def _peaks(
     return position, sigma, snr, here, height * np.ptp(kernel, axis=1), noise
 
 
-def _uneven_noise(
+def _uneven(
     profiles: list[FloatArray], kernels: list[FloatArray], middles: FloatArray, start: FloatArray
 ) -> FloatArray:
-    """Noise (M,), grey levels, of what is not the same on both sides of a wire, or of a bundle; infinite if not known.
+    """Mean square (M,) of what is not the same on both sides of a wire, or of a symmetric bundle.
 
     A wire is wider, sharper or darker within than its kernel says, but alike on both sides, and what is alike on both
     sides does not move it. From profiles (M, K) about every sub-conductor at ``middles`` (m, M), in the windows that
     begin at the columns ``start`` (M,).
     """
     order = np.argsort(middles.mean(axis=1))
-    unknown = np.full(len(start), np.inf)
-    if not np.allclose(middles[order], -middles[order[::-1]], atol=SYMMETRIC_PX):
-        return unknown
     wires, n = len(order), kernels[0].shape[1]
     first = np.rint(np.nan_to_num(start)).astype(np.intp)[:, None]
     columns = np.clip(first + np.arange(n), 0, profiles[0].shape[1] - 1)
@@ -219,11 +226,13 @@ def _uneven_noise(
     turned = turned.reshape(len(start), -1)
     turned /= np.linalg.norm(turned, axis=1, keepdims=True)
     rest -= np.sum(rest * turned, axis=1, keepdims=True) * turned
-    own = np.sum(rest**2, axis=1) / max(wires * (n // 2) - wires - 1, 1)
-    around = own.copy()
-    around[1:-1] = (own[:-2] + own[1:-1] + own[2:]) / 3
-    noise = UNEVEN * np.sqrt(np.maximum(own, around))
-    return np.where(np.isfinite(start), np.hypot(noise, ROUNDING_GREY), np.inf)
+    return np.asarray(np.sum(rest**2, axis=1) / max(wires * (n // 2) - wires - 1, 1))
+
+
+def _symmetric(middles: FloatArray) -> bool:
+    """Whether sub-conductors at ``middles`` (m, M) are mirrored about a bundle's centre line."""
+    ordered = middles[np.argsort(middles.mean(axis=1))]
+    return np.allclose(ordered, -ordered[::-1], atol=SYMMETRIC_PX)
 
 
 def compare(profiles: FloatArray, kernel: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -164,7 +164,7 @@ def _blocks(
     width = np.linspace(first, last, count)
     across = pixels + shift * normal
     blocks = localise(
-        picture, across, normal, width, half_range, block_length(length), margin_px=min(margin, end_margin)
+        picture, across, normal, width, half_range, block_length(length), margin_px=min(margin, end_margin), exact=False
     )
     return blocks, count
 

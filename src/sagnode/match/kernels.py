@@ -27,6 +27,13 @@ def wire_kernel(width_px: ArrayLike, positions: FloatArray, blur_px: float = BLU
     return 0.5 * (_erf((positions + half) * scale) - _erf((positions - half) * scale))
 
 
+def wire_slope(width_px: ArrayLike, positions: FloatArray, blur_px: float = BLUR_PX) -> FloatArray:
+    """Derivative of :func:`wire_kernel` by the position, 1/px: shape (..., N)."""
+    half = 0.5 * np.maximum(np.asarray(width_px, dtype=np.float64), 0.05)[..., None]
+    edges = [np.exp(-0.5 * ((positions + side * half) / blur_px) ** 2) for side in (1, -1)]
+    return np.asarray((edges[0] - edges[1]) / (blur_px * np.sqrt(2 * np.pi)))
+
+
 def _erf(x: FloatArray) -> FloatArray:
     """Error function, absolute error under 1.5e-7 (Abramowitz and Stegun 7.1.26)."""
     t = 1 / (1 + 0.3275911 * np.abs(x))
@@ -51,22 +58,22 @@ def unit_kernels(width: FloatArray, positions: FloatArray, blur_px: float = BLUR
     return np.asarray(kernel / np.linalg.norm(kernel, axis=1, keepdims=True))
 
 
-def bundle_kernels(width: FloatArray, middles: FloatArray, positions: FloatArray, blur_px: float) -> list[FloatArray]:
+def bundle_kernels(
+    width: FloatArray, middles: FloatArray, positions: FloatArray, blur_px: float
+) -> tuple[list[FloatArray], FloatArray]:
     """Kernels (M, n) about each of the sub-conductors at ``middles`` (m, M) px, which show the others within reach.
 
-    Without mean and slope each, and together of unit norm.
+    Without mean and slope each, and together of unit norm. And what their norm would be (M,) for wires of height 1.
     """
-    if len(middles) == 1:
-        return [unit_kernels(width, positions, blur_px)]
     slope = positions / np.linalg.norm(positions)
     kernels = []
     for middle in middles:
         shown = [wire_kernel(width, positions - (other - middle)[:, None], blur_px) for other in middles]
         kernel = np.sum(shown, axis=0)
         kernel -= kernel.mean(axis=1, keepdims=True)
-        kernels.append(kernel - (kernel @ slope)[:, None] * slope)
-    norm = np.linalg.norm(np.concatenate(kernels, axis=1), axis=1, keepdims=True)
-    return [np.asarray(kernel / norm) for kernel in kernels]
+        kernels.append(kernel - (kernel @ slope)[:, None] * slope if len(middles) > 1 else kernel)
+    norm = np.linalg.norm(np.concatenate(kernels, axis=1), axis=1)
+    return [np.asarray(kernel / norm[:, None]) for kernel in kernels], norm
 
 
 def shared_noise(kernels: list[FloatArray], middles: FloatArray) -> FloatArray:

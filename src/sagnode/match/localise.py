@@ -21,6 +21,9 @@ from sagnode.match.kernels import BLUR_PX, MARGIN_PX, STEP_PX
 from sagnode.match.ribbon import arc_length
 from sagnode.native import kernels
 
+ROWS = 16
+"""Rows that the compiled way works in: five of its results, and what two looks say of each block."""
+
 
 @dataclass(frozen=True)
 class Blocks:
@@ -72,6 +75,8 @@ def localise(
     block_px: float = 8.0,
     blur_px: float = BLUR_PX,
     margin_px: float = MARGIN_PX,
+    *,
+    exact: bool = True,
 ) -> Blocks:
     """Measure the wire's offset across a curve in blocks along it.
 
@@ -84,11 +89,13 @@ def localise(
         block_px: length of a block along the curve.
         blur_px: standard deviation of the picture's blur.
         margin_px: background taken in on either side; less than MARGIN_PX where a neighbour is near.
+        exact: look closer at what was found (see :mod:`sagnode.match.closer`).
 
     Returns:
         The blocks; empty arrays for fewer than two samples.
     """
-    return localise_beside(image, pixels, normal, width_px, half_range_px, (), block_px, blur_px, margin_px)[0]
+    own = (image, pixels, normal, width_px, half_range_px, (), block_px, blur_px, margin_px)
+    return localise_beside(*own, exact=exact)[0]
 
 
 def localise_beside(
@@ -103,6 +110,8 @@ def localise_beside(
     margin_px: float = MARGIN_PX,
     members: FloatArray | None = None,
     halves: bool = False,
+    *,
+    exact: bool = True,
 ) -> tuple[Blocks, Beside]:
     """Measure the wire's offset as :func:`localise` does, and look likewise about the curve shifted across.
 
@@ -115,6 +124,8 @@ def localise_beside(
 
     With ``halves`` each half of a block is measured too: a wire runs on through both, while the edge of something else
     that crosses the curve has moved aside from one to the other.
+
+    ``exact`` looks closer at what was found (see :mod:`sagnode.match.closer`).
     """
     if len(pixels) < 2:
         nothing = np.empty(0)
@@ -126,7 +137,7 @@ def localise_beside(
     width, half_range = (np.broadcast_to(np.asarray(a, dtype=np.float64), arc.shape) for a in (width_px, half_range_px))
     members = np.zeros((1, len(pixels))) if members is None else members
     centres = np.rint(np.array([0.0, *shifts_px]) / STEP_PX).astype(np.int64)
-    stretch = Stretch(pixels, normal, width, half_range, members, starts, blur_px, margin_px)
+    stretch = Stretch(pixels, normal, width, half_range, members, starts, blur_px, margin_px, exact)
     seen = _seen(image, stretch, centres)
     size = stretch.block_sizes()
     offset, sigma, snr, correlation, contrast = seen.blocks
@@ -152,7 +163,8 @@ def _scatter(image: AnyGrey, stretch: Stretch, size: NDArray[np.int64]) -> Float
     starts = np.stack([stretch.starts, stretch.starts + size // 2], axis=1)
     if not (size > 1).all():
         return np.zeros(len(size))
-    seen = _seen(image, replace(stretch, starts=starts.ravel()), np.zeros(1, dtype=np.int64))
+    halves = replace(stretch, starts=starts.ravel(), exact=False)
+    seen = _seen(image, halves, np.zeros(1, dtype=np.int64))
     offset, sigma = (part.reshape(starts.shape) for part in seen.blocks[:2])
     excess = np.diff(offset, axis=1)[:, 0] ** 2 - np.sum(sigma**2, axis=1)
     # the mean of two values is as uncertain as half their difference
@@ -164,7 +176,7 @@ def _seen(image: AnyGrey, stretch: Stretch, centres: NDArray[np.int64]) -> Seen:
     if kernels is None:
         return look_across(image, stretch, centres)
     count, places = len(stretch.starts), len(centres) - 1
-    blocks, valid = np.empty((8, count)), np.empty(count, dtype=bool)
+    blocks, valid = np.empty((ROWS, count)), np.empty(count, dtype=bool)
     beside, inside = np.empty((places, count)), np.empty((places, count), dtype=bool)
     kernels.localise(
         image,
@@ -177,6 +189,7 @@ def _seen(image: AnyGrey, stretch: Stretch, centres: NDArray[np.int64]) -> Seen:
         centres,
         stretch.blur_px,
         stretch.margin_px,
+        stretch.exact,
         blocks,
         valid,
         beside,

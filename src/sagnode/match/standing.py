@@ -62,7 +62,10 @@ def stand_out(
     usable = blocks.valid & (rank >= RANK_MIN) & ~masked
     usable &= _neighbours_agree(blocks, usable, masked, half_range < widest)
     usable &= _in_runs(usable, run)
-    sigma = np.hypot(np.nan_to_num(blocks.sigma, nan=UNKNOWN_PX), _false_peak_sigma(lead, half_range))
+    # texture must look like a wire about here, and the block must be weak enough to be texture: the lead by itself is
+    # small wherever other wires run beside, however plain this one is
+    false = np.minimum(_false_peak_sigma(lead, half_range), texture_sigma(blocks.snr, half_range))
+    sigma = np.hypot(np.nan_to_num(blocks.sigma, nan=UNKNOWN_PX), false)
     return Standing(np.nan_to_num(blocks.offset), sigma, rank, usable)
 
 

@@ -82,6 +82,7 @@ def localise(
     centres: Array,
     blur_px: float,
     margin_px: float,
+    exact: bool,
     blocks: Array,
     valid: Array,
     beside: Array,
@@ -90,7 +91,7 @@ def localise(
     """:func:`sagnode.match.across.look_across`: M blocks at ``starts``, S + 1 places at ``centres``, 0 the first.
 
     image uint8 or single precision; pixels and normal (N, 2), width and half_range (N,), members (m, N), m up to 64,
-    are double precision, starts (M,) and centres (S + 1,) int64 without gaps. Results: blocks (8, M) of which the
+    are double precision, starts (M,) and centres (S + 1,) int64 without gaps. Results: blocks (16, M) of which the
     first five are offset, sigma, snr, correlation and contrast, valid (M,) bool, beside (S, M) the snr at the other
     places, inside (S, M) bool.
     """

@@ -1,14 +1,12 @@
 /* Where wires lie across a curve, block by block: see sagnode.match.localise.localise_beside, which says what it means
    and does the same in NumPy. Names of parts are those of the functions there and in sagnode.match.kernels. */
+#include "closer.h"
 #include "profile.h"
-#include <math.h>
+#include "wire.h"
 #include <string.h>
 
-#define STEP_PX 0.5
 #define FLOOR_GREY 0.2
-#define ROUNDING_GREY 0.15
 #define BESIDE_SAMPLES 6
-#define UNEVEN 1.1
 #define SHARING 1.05
 #define SYMMETRIC_PX 0.2
 #define CORRELATED 2.7
@@ -21,8 +19,8 @@ typedef struct {
     scene image;
     array pixels, normal, width, range, members, starts, centres;
     Py_ssize_t samples, blocks, shifts;
-    int wires, near, far, reach, every;
-    double blur;
+    int wires, near, far, reach, every, exact;
+    double blur, margin;
     /* per block: means over its samples */
     double *widths, *ranges, *middles; /* (M,), (M,), (m, M) */
     int *order;                        /* of the sub-conductors across the curve (m,) */
@@ -31,7 +29,8 @@ typedef struct {
     float *sums;                                /* (K,) */
     double *profiles, *kernels, *slopes;        /* (m, K), (m, n), (m, n) */
     double *amplitude, *energy, *score; /* (K,) each */
-    double *running, *rest;             /* 3 (K + 1,), 3 (m, n) */
+    double *running, *rest;             /* 3 (K + 1,), 5 (m, n) */
+    double norm;                        /* of the kernels, were they of height 1 */
 } task;
 
 /* What its peak says about one block at one place. */
@@ -90,21 +89,6 @@ static void block_profile(task *t, int wire, Py_ssize_t block, double *profile)
 
 /* ---- kernels ---- */
 
-/* Error function, absolute error under 1.5e-7 (Abramowitz and Stegun 7.1.26). */
-static inline double error_function(double x)
-{
-    double t = 1.0 / (1.0 + 0.3275911 * fabs(x));
-    double series = t * (0.254829592 + t * (-0.284496736 + t * (1.421413741 + t * (-1.453152027 + t * 1.061405429))));
-    double sign = (double)((x > 0.0) - (x < 0.0));
-    return sign * (1.0 - series * exp(-x * x));
-}
-
-static double wire_kernel(double width, double position, double blur)
-{
-    double half = 0.5 * (width > 0.05 ? width : 0.05), scale = 1.0 / (blur * sqrt(2.0));
-    return 0.5 * (error_function((position + half) * scale) - error_function((position - half) * scale));
-}
-
 /* Slope of values (n,) as numpy.gradient has it. */
 static void gradient(const double *values, int n, double *out)
 {
@@ -112,27 +96,6 @@ static void gradient(const double *values, int n, double *out)
         out[k] = (values[k + 1] - values[k - 1]) / 2.0;
     out[0] = values[1] - values[0];
     out[n - 1] = values[n - 1] - values[n - 2];
-}
-
-/* Take the mean and, where `tilted` is set, the slope out of values (n,). */
-static void level(double *values, int n, int tilted)
-{
-    double mean, tilt = 0.0, norm = 0.0, part[4] = {0.0};
-    /* one sum would wait for itself */
-    for (int k = 0; k < n; k++)
-        part[k & 3] += values[k];
-    mean = (part[0] + part[1] + part[2] + part[3]) / n;
-    for (int k = 0; k < n; k++)
-        values[k] -= mean;
-    if (!tilted)
-        return;
-    for (int k = 0; k < n; k++) {
-        double step = k - n / 2;
-        tilt += step * values[k];
-        norm += step * step;
-    }
-    for (int k = 0; k < n; k++)
-        values[k] -= tilt / norm * (k - n / 2);
 }
 
 /* Kernels (m, n) and their slopes for one block. */
@@ -153,9 +116,9 @@ static void block_kernels(task *t, Py_ssize_t block)
         for (int k = 0; k < n; k++)
             squared += kernel[k] * kernel[k];
     }
-    double norm = sqrt(squared);
+    t->norm = sqrt(squared);
     for (int k = 0; k < t->wires * n; k++)
-        t->kernels[k] /= norm;
+        t->kernels[k] /= t->norm;
     for (int wire = 0; wire < t->wires; wire++)
         gradient(t->kernels + wire * n, n, t->slopes + wire * n);
 }
@@ -354,7 +317,7 @@ static int by_place(task *t)
 }
 
 /* Means over the blocks, and the sizes that follow from them; -1 with a Python error set. */
-static int prepare(task *t, double margin)
+static int prepare(task *t)
 {
     double widest = 0.0, farthest = 0.0;
     Py_ssize_t shortest = t->samples, reach = 0;
@@ -386,7 +349,7 @@ static int prepare(task *t, double margin)
             return -1;
         reach = centre > reach ? centre : -centre > reach ? -centre : reach;
     }
-    double near = ceil((0.5 * widest + 1.5 * t->blur + margin) / STEP_PX), far = ceil(farthest / STEP_PX) + 1.0;
+    double near = ceil((0.5 * widest + 1.5 * t->blur + t->margin) / STEP_PX), far = ceil(farthest / STEP_PX) + 1.0;
     if (require(near >= 2.0 && near < MOST_STEPS && far >= 1.0 && far < MOST_STEPS,
                 "width, half range, blur and margin: out of range") < 0)
         return -1;
@@ -443,7 +406,8 @@ static void measure(task *t, double *blocks, uint8_t *valid, double *beside, uin
     int n = 2 * t->near + 1, columns = 2 * (t->reach + t->near) + 1, windows = columns - n + 1;
     Py_ssize_t count = t->blocks;
     double *offset = blocks, *sigma = blocks + count, *snr = sigma + count, *likeness = snr + count;
-    double *contrast = likeness + count, *own = contrast + count, *noise = own + count, *sharing = noise + count;
+    double *contrast = likeness + count;
+    looks all = looks_in(contrast + count, count);
     for (Py_ssize_t b = 0; b < count; b++) {
         double steepest = 0.0, least = INFINITY, most = -INFINITY;
         block_kernels(t, b);
@@ -475,33 +439,27 @@ static void measure(task *t, double *blocks, uint8_t *valid, double *beside, uin
                 continue;
             }
             valid[b] = (uint8_t)good;
-            offset[b] = good ? away : NAN;
-            sigma[b] = found.sigma;
+            offset[b] = away;
             snr[b] = good ? found.snr : 0.0;
             likeness[b] = good ? found.likeness : 0.0;
             contrast[b] = good ? found.contrast : 0.0;
-            noise[b] = found.noise;
-            sharing[b] = overlap;
             /* where the window has no summit, its noise is not known, but its neighbours count it all the same */
-            double begin = isfinite(found.position) ? rint(first + found.position) : 0.0;
-            own[b] = t->symmetric ? uneven_noise(t, begin) : INFINITY;
-            if (!isfinite(found.position))
-                sharing[b] = INFINITY;
+            int summit = isfinite(found.position);
+            all.sigma[b] = found.sigma;
+            all.noise[b] = found.noise;
+            all.uneven[b] = uneven_noise(t, summit ? rint(first + found.position) : 0.0);
+            all.height[b] = found.contrast / ((most - least) * t->norm);
+            /* where windows share pixels, the noise of one side is in the other too */
+            all.alike[b] = t->symmetric && overlap < SHARING && summit;
+            all.correlated[b] = sqrt(CORRELATED * overlap);
+            profiles about = {t->profiles, columns, t->wires, t->order, t->middles + b, count, t->widths[b]};
+            look_closer(&about, summit && t->exact ? t->near + first + found.position : NAN, t->margin, t->near, t->rest, &all, b);
         }
     }
-    for (Py_ssize_t b = 0; b < count; b++) {
-        double around = own[b];
-        if (b > 0 && b + 1 < count)
-            around = (own[b - 1] + own[b] + own[b + 1]) / 3.0;
-        /* where windows share pixels, the noise of one side is in the other too */
-        if (t->symmetric && sharing[b] < SHARING) {
-            double uneven = UNEVEN * sqrt(own[b] > around ? own[b] : around);
-            double share = hypot(uneven, ROUNDING_GREY) / fmax(noise[b], ROUNDING_GREY);
-            sigma[b] *= share < 1.0 ? share : 1.0;
-        }
+    settle(&all, count, offset, sigma);
+    for (Py_ssize_t b = 0; b < count; b++)
         if (!valid[b])
-            sigma[b] = NAN;
-    }
+            offset[b] = sigma[b] = NAN;
 }
 
 PyObject *localise(PyObject *module, PyObject *const *words, Py_ssize_t count)
@@ -511,17 +469,18 @@ PyObject *localise(PyObject *module, PyObject *const *words, Py_ssize_t count)
     array blocks, valid, beside, inside;
     PyObject *result = NULL;
     (void)module;
-    if (require(count == 14, "localise takes fourteen arguments") < 0)
+    if (require(count == 15, "localise takes fifteen arguments") < 0)
         return NULL;
     t.blur = PyFloat_AsDouble(words[8]);
-    double margin = PyFloat_AsDouble(words[9]);
+    t.margin = PyFloat_AsDouble(words[9]);
+    t.exact = PyObject_IsTrue(words[10]);
     if (PyErr_Occurred())
         return NULL;
-    if (ask(&all, words, &t) < 0 || take(&all, words[10], "blocks", 'd', 2, 1, 1, &blocks) < 0 ||
-        take(&all, words[11], "valid", '?', 1, 1, 1, &valid) < 0 ||
-        take(&all, words[12], "beside", 'd', 2, 1, 1, &beside) < 0 ||
-        take(&all, words[13], "inside", '?', 2, 1, 1, &inside) < 0 ||
-        require(blocks.shape[0] == 8 && blocks.shape[1] == t.blocks && valid.shape[0] == t.blocks &&
+    if (ask(&all, words, &t) < 0 || take(&all, words[11], "blocks", 'd', 2, 1, 1, &blocks) < 0 ||
+        take(&all, words[12], "valid", '?', 1, 1, 1, &valid) < 0 ||
+        take(&all, words[13], "beside", 'd', 2, 1, 1, &beside) < 0 ||
+        take(&all, words[14], "inside", '?', 2, 1, 1, &inside) < 0 ||
+        require(blocks.shape[0] == 5 + LOOKS && blocks.shape[1] == t.blocks && valid.shape[0] == t.blocks &&
                     beside.shape[0] == t.shifts - 1 && beside.shape[1] == t.blocks &&
                     inside.shape[0] == t.shifts - 1 && inside.shape[1] == t.blocks,
                 "blocks, valid, beside and inside do not fit starts and centres") < 0)
@@ -531,11 +490,11 @@ PyObject *localise(PyObject *module, PyObject *const *words, Py_ssize_t count)
         goto done;
     t.ranges = t.widths + t.blocks;
     t.middles = t.ranges + t.blocks;
-    if (prepare(&t, margin) < 0)
+    if (prepare(&t) < 0)
         goto done;
     Py_ssize_t n = 2 * t.near + 1, columns = 2 * (t.reach + t.near) + 1;
     if (allocate((void **)&t.sums, columns, sizeof(float)) < 0 ||
-        allocate((void **)&t.profiles, (t.wires + 6) * columns + 3 + 5 * t.wires * n, sizeof(double)) < 0)
+        allocate((void **)&t.profiles, (t.wires + 6) * columns + 3 + 7 * t.wires * n, sizeof(double)) < 0)
         goto done;
     t.amplitude = t.profiles + t.wires * columns;
     t.energy = t.amplitude + columns;

@@ -9,6 +9,7 @@
 #define NEIGHBOUR_PX 0.8
 #define NEIGHBOUR_SLOPE 0.06
 #define FALSE_PEAK_POWER 6.0
+#define TEXTURE_SNR 2.0
 #define UNKNOWN_PX 1e3
 
 /* Signal-to-noise ratios of M blocks, one row at each place beside the curve. */
@@ -95,7 +96,11 @@ static void judge(question *q, uint8_t *scratch)
         rank_one(q, k, &q->rank[k], &lead);
         q->place[k] = isnan(q->offset[k]) ? 0.0 : q->offset[k];
         double chance = 0.5 * pow(lead > 1.0 ? lead : 1.0, -FALSE_PEAK_POWER);
-        q->uncertainty[k] = hypot(isnan(q->sigma[k]) ? UNKNOWN_PX : q->sigma[k], q->range[k] * sqrt(chance / 3.0));
+        double weak = exp((1.0 - q->snr[k]) / TEXTURE_SNR);
+        weak = weak < 0.5 ? weak : 0.5;
+        /* texture must look like a wire about here, and the block must be weak enough to be texture */
+        double false_peak = q->range[k] * sqrt((chance < weak ? chance : weak) / 3.0);
+        q->uncertainty[k] = hypot(isnan(q->sigma[k]) ? UNKNOWN_PX : q->sigma[k], false_peak);
         q->usable[k] = q->valid[k] && q->rank[k] >= RANK_MIN && !q->masked[k];
     }
     for (Py_ssize_t k = 0; k < q->blocks; k++)
