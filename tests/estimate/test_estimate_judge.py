@@ -182,6 +182,22 @@ def test_each_defect_is_refused_by_its_name(change: str, cause: Cause) -> None:
     assert cause in [r.cause for r in reasons]
 
 
+def test_a_little_of_a_wire_is_told_only_where_its_load_is_surely_even() -> None:
+    site, conductor, match = along_the_line()
+    estimates, _ = propagate(site, conductor, match)
+    # three tenths of the span: by its length in the picture that is the clear part of it
+    seen = match.track.t < match.track.t[0] + 0.3
+    nowhere = replace(match.observed, sigma=np.full(len(match.observed.t), 2.0))
+    little = replace(match, sighting=Sighting(50.0, seen), observed=nowhere)
+    assert 0.25 < visible_share(little) < 0.33
+    validity, reasons = judge(site, conductor, little, estimates)
+    assert validity is Validity.QUESTIONABLE
+    assert [r.cause for r in reasons] == [Cause.TOO_LITTLE_VISIBLE]
+    validity, reasons = judge(site, conductor, replace(little, other=match, other_weight=0.1), estimates)
+    assert validity is Validity.INVALID
+    assert reasons[0].cause is Cause.TOO_LITTLE_VISIBLE
+
+
 @pytest.mark.parametrize(("share", "refused"), [(None, False), (1.0, False), (0.6, False), (0.5, True)])
 def test_an_uneven_load_is_told_only_in_a_scene_that_is_surely_the_surveyed_one(
     share: float | None, refused: bool

@@ -94,7 +94,9 @@ def _not_a_wire(found: Matched) -> list[Reason]:
         )
         return [Reason(Cause.NO_CONDUCTOR, text)]
     visible = visible_share(found)
-    needed = UNEVEN_VISIBLE_MIN if found.survey.load_u else VISIBLE_MIN
+    # what is not seen hangs as what is seen only under an even load
+    even = VISIBLE_MIN if found.other is None else VISIBLE_GOOD
+    needed = UNEVEN_VISIBLE_MIN if found.survey.load_u else even
     if visible < needed:
         text = f"only {100 * visible:.0f} % of the span is visible (needs {100 * needed:g} %)"
         return [Reason(Cause.TOO_LITTLE_VISIBLE, text), *_ice(found)]

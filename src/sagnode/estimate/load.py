@@ -221,7 +221,8 @@ def _either(each: Doubt, refined: Matched | None, probable: float, *, iced: bool
     if each.even is None or not each.strains or each.is_strained():
         return refined
     let_in = iced or probable > LET_IN
-    if each.hardly_seen() or refined is None or not refined.survey.load_u or not refined.solution.converged:
+    followed = refined is not None and refined.survey.load_u > 0 and refined.solution.converged
+    if refined is None or not followed or (each.hardly_seen() and let_in):
         # a load that is hardly likely need not be followed to its end
         return refined if let_in else each.even
     likelier, other = (refined, each.even) if probable > LIKELIER else (each.even, refined)

@@ -21,6 +21,8 @@ from sagnode.match.kernels import BLUR_PX, MARGIN_PX, STEP_PX
 from sagnode.match.ribbon import arc_length
 from sagnode.native import kernels
 
+SURE_PX = 0.02
+"""Uncertainty from noise below which a block has seen the wire: hardly anything else in a picture is as clear."""
 ROWS = 16
 """Rows that the compiled way works in: five of its results, and what two looks say of each block."""
 
@@ -122,8 +124,8 @@ def localise_beside(
     curve is. Each has its ribbon, and a kernel that shows the others where they are near; their scores add up, so that
     the offset is that of the whole pattern, and where the pattern lies a whole spacing off, only a part of it fits.
 
-    With ``halves`` each half of a block is measured too: a wire runs on through both, while the edge of something else
-    that crosses the curve has moved aside from one to the other.
+    With ``halves`` each half of a block that is not quite clear is measured too: a wire runs on through both, while the
+    edge of something else that crosses the curve has moved aside from one to the other.
 
     ``exact`` looks closer at what was found (see :mod:`sagnode.match.closer`).
     """
@@ -150,25 +152,38 @@ def localise_beside(
         correlation=correlation,
         contrast=contrast,
         valid=seen.valid,
-        scatter=_scatter(image, stretch, size) if halves else np.zeros(len(starts)),
+        scatter=_scatter(image, stretch, size, halves & (sigma > SURE_PX)),
     )
     return blocks, Beside(seen.beside, seen.inside)
 
 
-def _scatter(image: AnyGrey, stretch: Stretch, size: NDArray[np.int64]) -> FloatArray:
+def _scatter(image: AnyGrey, stretch: Stretch, size: NDArray[np.int64], asked: NDArray[np.bool_]) -> FloatArray:
     """By how much blocks of ``size`` (M,) samples are less certain than their noise says, px (M,): from their halves.
 
-    A half that shows nothing contradicts nothing.
+    Only of those ``asked`` for (M,). A half that shows nothing contradicts nothing.
     """
-    starts = np.stack([stretch.starts, stretch.starts + size // 2], axis=1)
-    if not (size > 1).all():
-        return np.zeros(len(size))
-    halves = replace(stretch, starts=starts.ravel(), exact=False)
+    scatter = np.zeros(len(size))
+    if not asked.any() or not (size > 1).all():
+        return scatter
+    own = np.repeat(asked, size)
+    first = np.cumsum(size[asked]) - size[asked]
+    starts = np.stack([first, first + size[asked] // 2], axis=1)
+    halves = replace(
+        stretch,
+        pixels=np.ascontiguousarray(stretch.pixels[own]),
+        normal=np.ascontiguousarray(stretch.normal[own]),
+        width=stretch.width[own],
+        half_range=stretch.half_range[own],
+        members=np.ascontiguousarray(stretch.members[:, own]),
+        starts=starts.ravel(),
+        exact=False,
+    )
     seen = _seen(image, halves, np.zeros(1, dtype=np.int64))
     offset, sigma = (part.reshape(starts.shape) for part in seen.blocks[:2])
     excess = np.diff(offset, axis=1)[:, 0] ** 2 - np.sum(sigma**2, axis=1)
     # the mean of two values is as uncertain as half their difference
-    return np.asarray(0.5 * np.sqrt(np.maximum(np.nan_to_num(excess), 0.0)))
+    scatter[asked] = 0.5 * np.sqrt(np.maximum(np.nan_to_num(excess), 0.0))
+    return scatter
 
 
 def _seen(image: AnyGrey, stretch: Stretch, centres: NDArray[np.int64]) -> Seen:
