@@ -52,7 +52,8 @@ def test_readings_are_those_of_the_daemon_in_the_order_of_the_frames(lab: Path, 
             assert document[field] == other[field]
     # two centimetres of a model's sag in ten minutes are more heat than the watch believes in
     assert {other["quality"]["validity"] for other in measured} == {"good"}
-    assert [r.cause for reading in readings[-2:] for r in reading.quality.reasons] == [Cause.THERMAL_TREND] * 2
+    # (of one wire or of both: it is not far beyond what their uncertainties leave open)
+    assert {r.cause for reading in readings[-2:] for r in reading.quality.reasons} == {Cause.THERMAL_TREND}
 
 
 def test_truth_beside_the_frames_is_compared_with(lab: Path, capsys: Capture) -> None:
