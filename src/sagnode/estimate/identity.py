@@ -18,8 +18,8 @@ from sagnode.site import SiteConductor
 TOGETHER_PX = 2.0
 """Curves that are nearer to each other than this lie on the same wire there."""
 CONTESTED = 0.25
-"""Share of a curve from which two that lie together mean the same wire; wires that meet before the far tower do so over
-less than an eighth."""
+"""Share of a curve from which two that lie together mean the same wire; wires that only meet before the far tower do so
+over much less."""
 
 
 def tell_apart(
