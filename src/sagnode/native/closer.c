@@ -1,6 +1,7 @@
 /* A closer look at a wire that was found, and which look is surer: sagnode.match.closer and sagnode.match.surer say what
    it means and do the same in NumPy. */
 #include "closer.h"
+#include "numbers.h"
 #include "wire.h"
 #include <stdlib.h>
 
@@ -28,15 +29,10 @@ looks looks_in(double *rows, Py_ssize_t count)
     return all;
 }
 
-static inline double clipped(double value, double low, double high)
-{
-    return value < low ? low : value > high ? high : value;
-}
-
 /* What all wires show about one of them (n,), and how that changes as they move; both without mean and slope. */
 static void shapes(const profiles *about, int wire, int reach, double place, double *shown, double *moved)
 {
-    double half = 0.5 * (about->width > 0.05 ? about->width : 0.05), scale = 1.0 / (SHARP_BLUR_PX * sqrt(2.0));
+    double half = half_width(about->width), scale = 1.0 / (SHARP_BLUR_PX * sqrt(2.0));
     int n = 2 * reach + 1;
     for (int k = 0; k < n; k++)
         shown[k] = moved[k] = 0.0;
@@ -49,7 +45,7 @@ static void shapes(const profiles *about, int wire, int reach, double place, dou
             double before, after;
             shown[k] += 0.5 * (error_function((across + half) * scale, &before) -
                                error_function((across - half) * scale, &after));
-            moved[k] -= (before - after) / (SHARP_BLUR_PX * sqrt(2.0 * 3.14159265358979323846));
+            moved[k] -= (before - after) / (SHARP_BLUR_PX * sqrt(2.0 * PI));
         }
     }
     level(shown, n, 1);
@@ -120,12 +116,6 @@ void look_closer(const profiles *about, double found, double margin, int most, d
     all->odd[b] = odd / (freedom > 1 ? freedom : 1);
     all->steepness[b] = sqrt(alone);
     all->reply[b] = -product(moved, moving, count) / sqrt(alone);
-}
-
-static int rising(const void *one, const void *other)
-{
-    double a = *(const double *)one, b = *(const double *)other;
-    return (a > b) - (a < b);
 }
 
 /* What the movement of a wire shows over what it would show in a picture as sharp as the kernel; `room` is for M. */

@@ -22,13 +22,6 @@ typedef struct {
     array load;
 } conductor;
 
-/* One element of an array of double precision. */
-static inline double number(const array *of, Py_ssize_t i) { return *(const double *)(of->at + i * of->step[0]); }
-static inline double number2(const array *of, Py_ssize_t i, Py_ssize_t j)
-{
-    return *(const double *)(of->at + i * of->step[0] + j * of->step[1]);
-}
-
 /* Normalised coordinates after the lens; OpenCV's models. */
 static inline void distorted(const camera *lens, double x, double y, double *xd, double *yd)
 {

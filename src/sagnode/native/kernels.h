@@ -41,6 +41,13 @@ void release(arrays *all);
 /* -1 with a Python error set where a condition on the shapes does not hold. */
 int require(int condition, const char *what);
 
+/* One element of an array of double precision. */
+static inline double number(const array *of, Py_ssize_t i) { return *(const double *)(of->at + i * of->step[0]); }
+static inline double number2(const array *of, Py_ssize_t i, Py_ssize_t j)
+{
+    return *(const double *)(of->at + i * of->step[0] + j * of->step[1]);
+}
+
 /* The functions of the module; their arguments are in _kernels.pyi. */
 PyObject *response(PyObject *module, PyObject *const *words, Py_ssize_t count);
 PyObject *places(PyObject *module, PyObject *const *words, Py_ssize_t count);

@@ -1,277 +1,21 @@
-/* Where wires lie across a curve, block by block: see sagnode.match.localise.localise_beside, which says what it means
-   and does the same in NumPy. Names of parts are those of the functions there and in sagnode.match.kernels. */
+/* Where wires lie across a curve, block by block: see sagnode.match.localise.localise_beside, which says what it means.
+   What is asked is checked here, and what the blocks show is put together as sagnode.match.across has it in NumPy. */
+#include "across.h"
 #include "closer.h"
-#include "profile.h"
-#include "wire.h"
-#include <string.h>
 
-#define FLOOR_GREY 0.2
 #define BESIDE_SAMPLES 6
 #define SHARING 1.05
 #define SYMMETRIC_PX 0.2
-#define CORRELATED 2.7
 /* Farthest that a ribbon may reach, in steps, and most sub-conductors: far beyond what is ever asked for. */
 #define MOST_STEPS 20000
 #define MOST_WIRES 64
-
-/* What is asked, and what of it holds for all blocks. */
-typedef struct {
-    scene image;
-    array pixels, normal, width, range, members, starts, centres;
-    Py_ssize_t samples, blocks, shifts;
-    int wires, near, far, reach, every, exact;
-    double blur, margin;
-    /* per block: means over its samples */
-    double *widths, *ranges, *middles; /* (M,), (M,), (m, M) */
-    int *order;                        /* of the sub-conductors across the curve (m,) */
-    int symmetric;
-    /* for one block at a time */
-    float *sums;                                /* (K,) */
-    double *profiles, *kernels, *slopes;        /* (m, K), (m, n), (m, n) */
-    double *amplitude, *energy, *score; /* (K,) each */
-    double *running, *rest;             /* 3 (K + 1,), 5 (m, n) */
-    double norm;                        /* of the kernels, were they of height 1 */
-} task;
-
-/* What its peak says about one block at one place. */
-typedef struct {
-    double position, sigma, snr, likeness, contrast, noise;
-} peak;
-
-static inline double real(const array *of, Py_ssize_t i) { return *(const double *)(of->at + i * of->step[0]); }
-static inline double part(const array *of, Py_ssize_t i, Py_ssize_t j)
-{
-    return *(const double *)(of->at + i * of->step[0] + j * of->step[1]);
-}
-static inline Py_ssize_t whole(const array *of, Py_ssize_t i) { return ((const int64_t *)of->at)[i]; }
-static inline Py_ssize_t end_of(const task *t, Py_ssize_t block)
-{
-    return block + 1 < t->blocks ? whole(&t->starts, block + 1) : t->samples;
-}
-
-/* A sample of one of the wires, px; of the centre line where `wire` is negative. */
-static inline void sample(const task *t, int wire, Py_ssize_t i, double *u, double *v)
-{
-    double aside = t->wires > 1 && wire >= 0 ? part(&t->members, wire, i) : 0.0;
-    *u = part(&t->pixels, i, 0) + aside * part(&t->normal, i, 0);
-    *v = part(&t->pixels, i, 1) + aside * part(&t->normal, i, 1);
-}
-
-/* ---- profiles ---- */
-
-static void add_steps(task *t, double u, double v, double nu, double nv, int first, int count)
-{
-    int wide = t->reach + t->near;
-    double du = STEP_PX * nu, dv = STEP_PX * nv;
-    add_samples(&t->image, u + first * du, v + first * dv, du, dv, count, t->sums + wide + first);
-}
-
-/* Mean profile (K,) of one block across one wire; its outer parts are sampled more sparsely. */
-static void block_profile(task *t, int wire, Py_ssize_t block, double *profile)
-{
-    int wide = t->reach + t->near, narrow = t->far + t->near, columns = 2 * wide + 1;
-    Py_ssize_t start = whole(&t->starts, block), end = end_of(t, block), sparse = 0;
-    memset(t->sums, 0, (size_t)columns * sizeof *t->sums);
-    for (Py_ssize_t i = start; i < end; i++) {
-        double u, v, nu = part(&t->normal, i, 0), nv = part(&t->normal, i, 1);
-        sample(t, wire, i, &u, &v);
-        if (i % t->every == 0) {
-            sparse++;
-            add_steps(t, u, v, nu, nv, -wide, columns);
-        } else
-            add_steps(t, u, v, nu, nv, -narrow, 2 * narrow + 1);
-    }
-    for (int k = 0; k < columns; k++) {
-        int own = k >= wide - narrow && k <= wide + narrow;
-        profile[k] = (double)t->sums[k] / (double)(own ? end - start : sparse);
-    }
-}
-
-/* ---- kernels ---- */
-
-/* Slope of values (n,) as numpy.gradient has it. */
-static void gradient(const double *values, int n, double *out)
-{
-    for (int k = 1; k < n - 1; k++)
-        out[k] = (values[k + 1] - values[k - 1]) / 2.0;
-    out[0] = values[1] - values[0];
-    out[n - 1] = values[n - 1] - values[n - 2];
-}
-
-/* Kernels (m, n) and their slopes for one block. */
-static void block_kernels(task *t, Py_ssize_t block)
-{
-    int n = 2 * t->near + 1;
-    double squared = 0.0;
-    for (int wire = 0; wire < t->wires; wire++) {
-        double *kernel = t->kernels + wire * n, own = t->middles[wire * t->blocks + block];
-        for (int k = 0; k < n; k++) {
-            kernel[k] = 0.0;
-            for (int other = 0; other < t->wires; other++) {
-                double away = t->wires > 1 ? t->middles[other * t->blocks + block] - own : 0.0;
-                kernel[k] += wire_kernel(t->widths[block], STEP_PX * (k - t->near) - away, t->blur);
-            }
-        }
-        level(kernel, n, t->wires > 1);
-        for (int k = 0; k < n; k++)
-            squared += kernel[k] * kernel[k];
-    }
-    t->norm = sqrt(squared);
-    for (int k = 0; k < t->wires * n; k++)
-        t->kernels[k] /= t->norm;
-    for (int wire = 0; wire < t->wires; wire++)
-        gradient(t->kernels + wire * n, n, t->slopes + wire * n);
-}
-
-/* By how much what the sub-conductors' windows share makes the offset's variance worse. */
-static double shared_noise(const task *t, Py_ssize_t block)
-{
-    int n = 2 * t->near + 1, last = n - 1;
-    double alone = 0.0, shared = 0.0;
-    for (int k = 0; k < t->wires * n; k++)
-        alone += t->slopes[k] * t->slopes[k];
-    for (int one = 0; one < t->wires; one++)
-        for (int other = one + 1; other < t->wires; other++) {
-            const double *mine = t->slopes + one * n, *theirs = t->slopes + other * n;
-            double away = (t->middles[one * t->blocks + block] - t->middles[other * t->blocks + block]) / STEP_PX;
-            double sum = 0.0;
-            for (int k = 0; k < n; k++) {
-                double place = k + away;
-                if (!(place >= 0.0 && place <= last))
-                    continue;
-                int first = (int)place < last - 1 ? (int)place : last - 1;
-                sum += mine[k] * (theirs[first] + (place - first) * (theirs[first + 1] - theirs[first]));
-            }
-            shared += 2.0 * sum;
-        }
-    double factor = 1.0 + shared / alone;
-    return factor > 1.0 || isnan(factor) ? factor : 1.0;
-}
-
-/* ---- comparison ---- */
-
-/* Add the amplitude and the energy of all windows (K - n + 1,) of a profile (K,); the profile loses its mean. */
-FOR_EACH_PROCESSOR
-static void add_compared(double *restrict profile, int columns, const double *restrict kernel, int n,
-                         double *restrict running, double *restrict amplitude, double *restrict energy)
-{
-    double *total = running, *tilted = running + columns + 1, *squared = tilted + columns + 1;
-    double steepest = (double)n * ((double)n * n - 1.0) / 12.0;
-    level(profile, columns, 0);
-    total[0] = tilted[0] = squared[0] = 0.0;
-    for (int c = 0; c < columns; c++) {
-        total[c + 1] = total[c] + profile[c];
-        tilted[c + 1] = tilted[c] + profile[c] * c;
-        squared[c + 1] = squared[c] + profile[c] * profile[c];
-    }
-    int windows = columns - n + 1, k = 0;
-    /* several of the kernel's values at a time: most of the work is fetching and storing otherwise */
-    for (; k + 4 <= n; k += 4) {
-        double a = kernel[k], b = kernel[k + 1], c = kernel[k + 2], d = kernel[k + 3];
-        const double *from = profile + k;
-        for (int w = 0; w < windows; w++)
-            amplitude[w] = amplitude[w] + a * from[w] + b * from[w + 1] + c * from[w + 2] + d * from[w + 3];
-    }
-    for (; k < n; k++)
-        for (int w = 0; w < windows; w++)
-            amplitude[w] += kernel[k] * profile[w + k];
-    for (int w = 0; w < windows; w++) {
-        double sum = total[w + n] - total[w], tilt = tilted[w + n] - tilted[w], power = squared[w + n] - squared[w];
-        double middle = w + 0.5 * (n - 1), sloping = tilt - middle * sum;
-        double left = power - sum * sum / n - sloping * sloping / steepest;
-        energy[w] += left > 0.0 ? left : 0.0;
-    }
-}
-
-/* Correlation of all windows with the kernel, small where there is only rounding. */
-FOR_EACH_PROCESSOR
-static void correlate(const double *amplitude, const double *energy, int windows, double floor, double *score)
-{
-    for (int w = 0; w < windows; w++)
-        score[w] = fabs(amplitude[w]) / sqrt(energy[w] + floor);
-}
-
-static inline int sign_of(double x) { return (x > 0.0) - (x < 0.0); }
-
-/* The best window about a place, `first` being the first of its 2 far + 1. */
-static peak find_peak(const task *t, int first, double range, double steepness, double height_of, double overlap)
-{
-    int across = 1, n = t->wires * (2 * t->near + 1);
-    double best = -1.0;
-    /* the outermost windows only serve the parabola */
-    for (int k = 1; k < 2 * t->far; k++) {
-        double value = fabs(STEP_PX * (k - t->far)) <= range + STEP_PX ? t->score[first + k] : -1.0;
-        if (value > best) {
-            best = value;
-            across = k;
-        }
-    }
-    int at = first + across;
-    double height = t->amplitude[at], here = t->score[at];
-    double before = sign_of(t->amplitude[at - 1]) == sign_of(height) ? t->score[at - 1] : 0.0;
-    double after = sign_of(t->amplitude[at + 1]) == sign_of(height) ? t->score[at + 1] : 0.0;
-    double bend = before - 2.0 * here + after, size = fabs(height), power = t->energy[at] - size * size;
-    peak found;
-    found.position = here >= before && here >= after && bend < 0.0 ? across + 0.5 * (before - after) / bend : NAN;
-    found.noise = sqrt((power > 0.0 ? power : 0.0) / (n - 3 * t->wires) + ROUNDING_GREY * ROUNDING_GREY);
-    found.snr = size / (found.noise * sqrt(CORRELATED * overlap));
-    found.sigma = 1.0 / fmax(found.snr * steepness, 1e-6);
-    found.likeness = here;
-    found.contrast = height * height_of;
-    return found;
-}
-
-/* Mean square of what of a block is not the same on both sides; the windows begin at the column `first`. */
-static double uneven_noise(task *t, double first)
-{
-    int n = 2 * t->near + 1, columns = 2 * (t->reach + t->near) + 1, all = t->wires * n;
-    double along = 0.0, norm = 0.0, sum = 0.0;
-    /* the windows, then the kernels' slopes, in order across the curve */
-    double *windows = t->rest, *turned = t->rest + all, *rest = t->rest + 2 * all;
-    for (int k = 0; k < t->wires; k++) {
-        const double *profile = t->profiles + t->order[k] * columns;
-        for (int j = 0; j < n; j++) {
-            double place = first + j;
-            int column = place > 0.0 ? (place < columns - 1 ? (int)place : columns - 1) : 0;
-            windows[k * n + j] = profile[column];
-        }
-        level(windows + k * n, n, 1);
-        const double *slopes = t->slopes + t->order[k] * n;
-        double tilt = 0.0, steps = 0.0;
-        for (int j = 0; j < n; j++) {
-            turned[k * n + j] = slopes[j];
-            tilt += (j - n / 2) * turned[k * n + j];
-            steps += (double)(j - n / 2) * (j - n / 2);
-        }
-        for (int j = 0; j < n; j++)
-            turned[k * n + j] -= tilt / steps * (j - n / 2);
-    }
-    for (int k = 0; k < all; k++) {
-        rest[k] = 0.5 * (windows[k] - windows[all - 1 - k]);
-        norm += turned[k] * turned[k];
-    }
-    norm = sqrt(norm);
-    /* a fraction of a step between window and wire looks like the kernel's slope, and is no noise */
-    for (int k = 0; k < all; k++) {
-        turned[k] /= norm;
-        along += rest[k] * turned[k];
-    }
-    for (int k = 0; k < all; k++) {
-        double left = rest[k] - along * turned[k];
-        sum += left * left;
-    }
-    int freedom = t->wires * (n / 2) - t->wires - 1;
-    return sum / (freedom > 1 ? freedom : 1);
-}
-
-/* ---- in the frame ---- */
 
 static int seen_at(const task *t, int wire, Py_ssize_t i, double aside)
 {
     double u, v;
     sample(t, wire, i, &u, &v);
-    u += aside * part(&t->normal, i, 0);
-    v += aside * part(&t->normal, i, 1);
+    u += aside * number2(&t->normal, i, 0);
+    v += aside * number2(&t->normal, i, 1);
     return u >= 0.0 && u <= t->image.width - 1 && v >= 0.0 && v <= t->image.height - 1;
 }
 
@@ -287,8 +31,7 @@ static int block_seen(const task *t, Py_ssize_t block, Py_ssize_t centre)
     return 1;
 }
 
-/* ---- the whole ---- */
-
+/* The order of the sub-conductors across the curve, and whether they are symmetric; -1 with a Python error set. */
 static int by_place(task *t)
 {
     double *mean = PyMem_Malloc((size_t)t->wires * sizeof *mean);
@@ -325,8 +68,8 @@ static int prepare(task *t)
         Py_ssize_t start = whole(&t->starts, b), end = end_of(t, b);
         double width = 0.0, range = 0.0;
         for (Py_ssize_t i = start; i < end; i++) {
-            double own = real(&t->range, i);
-            width += real(&t->width, i);
+            double own = number(&t->range, i);
+            width += number(&t->width, i);
             range += own;
             farthest = own > farthest ? own : farthest;
         }
@@ -335,7 +78,7 @@ static int prepare(task *t)
         for (int wire = 0; wire < t->wires; wire++) {
             double sum = 0.0;
             for (Py_ssize_t i = start; i < end; i++)
-                sum += part(&t->members, wire, i);
+                sum += number2(&t->members, wire, i);
             t->middles[wire * t->blocks + b] = sum / (double)(end - start);
         }
         widest = t->widths[b] > widest ? t->widths[b] : widest;
@@ -372,6 +115,7 @@ static int allocate(void **out, Py_ssize_t count, size_t size)
     return -1;
 }
 
+/* Read and check what is looked at, the first eight arguments; -1 with a Python error set. */
 static int ask(arrays *all, PyObject *const *words, task *t)
 {
     if (take_scene(all, words[0], &t->image) < 0 || take(all, words[1], "pixels", 'd', 2, 0, 0, &t->pixels) < 0 ||
@@ -403,7 +147,7 @@ static int ask(arrays *all, PyObject *const *words, task *t)
 /* Fill blocks (5, M): offset, sigma, snr, correlation, contrast; and for all places snr, validity and being centred. */
 static void measure(task *t, double *blocks, uint8_t *valid, double *beside, uint8_t *inside)
 {
-    int n = 2 * t->near + 1, columns = 2 * (t->reach + t->near) + 1, windows = columns - n + 1;
+    int n = 2 * t->near + 1, columns = 2 * (t->reach + t->near) + 1;
     Py_ssize_t count = t->blocks;
     double *offset = blocks, *sigma = blocks + count, *snr = sigma + count, *likeness = snr + count;
     double *contrast = likeness + count;
@@ -411,14 +155,9 @@ static void measure(task *t, double *blocks, uint8_t *valid, double *beside, uin
     for (Py_ssize_t b = 0; b < count; b++) {
         double steepest = 0.0, least = INFINITY, most = -INFINITY;
         block_kernels(t, b);
-        memset(t->amplitude, 0, (size_t)windows * sizeof *t->amplitude);
-        memset(t->energy, 0, (size_t)windows * sizeof *t->energy);
-        for (int wire = 0; wire < t->wires; wire++) {
-            double *profile = t->profiles + wire * columns;
-            block_profile(t, wire, b, profile);
-            add_compared(profile, columns, t->kernels + wire * n, n, t->running, t->amplitude, t->energy);
-        }
-        correlate(t->amplitude, t->energy, windows, t->wires * n * FLOOR_GREY * FLOOR_GREY, t->score);
+        for (int wire = 0; wire < t->wires; wire++)
+            block_profile(t, wire, b, t->profiles + wire * columns);
+        compare(t);
         for (int k = 0; k < t->wires * n; k++) {
             double slope = t->slopes[k] / STEP_PX;
             steepest += slope * slope;
@@ -453,7 +192,8 @@ static void measure(task *t, double *blocks, uint8_t *valid, double *beside, uin
             all.alike[b] = t->symmetric && overlap < SHARING && summit;
             all.correlated[b] = sqrt(CORRELATED * overlap);
             profiles about = {t->profiles, columns, t->wires, t->order, t->middles + b, count, t->widths[b]};
-            look_closer(&about, summit && t->exact ? t->near + first + found.position : NAN, t->margin, t->near, t->rest, &all, b);
+            double column = summit && t->exact ? t->near + first + found.position : NAN;
+            look_closer(&about, column, t->margin, t->near, t->rest, &all, b);
         }
     }
     settle(&all, count, offset, sigma);

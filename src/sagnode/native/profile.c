@@ -48,7 +48,7 @@ static inline void within(float x, float dx, float y, float dy, int32_t origin, 
 }
 
 /* The first of two pixels along an axis and the share of the second: the edge goes on beyond the picture. */
-static inline int clipped(double x, int end, float *share)
+static inline int pixel_before(double x, int end, float *share)
 {
     /* a comparison with NaN is false, which puts it at the edge */
     double inside = x > 0.0 ? x : 0.0;
@@ -113,8 +113,8 @@ void add_samples(const scene *image, double u, double v, double du, double dv, i
                    image->row, some, &at);
         else
             for (int k = 0; k < some; k++) {
-                int from = clipped(v + (start + k) * dv, image->height, &at.below[k]) * image->row;
-                at.offset[k] = from + clipped(u + (start + k) * du, image->width, &at.right[k]);
+                int from = pixel_before(v + (start + k) * dv, image->height, &at.below[k]) * image->row;
+                at.offset[k] = from + pixel_before(u + (start + k) * du, image->width, &at.right[k]);
             }
         gather(image, &at, some, sums + start);
     }

@@ -2,6 +2,7 @@
    NumPy. There the offsets' covariance is a matrix. Here the error that neighbours share, which falls off exponentially
    with their distance along the curve, is what it is then: a first-order Markov process, whose states a scalar Kalman
    filter follows from one offset to the next. Its normalised innovations are the whitened rows. */
+#include "numbers.h"
 #include "steps.h"
 #include <stdlib.h>
 #include <string.h>
@@ -55,7 +56,7 @@ static void turning(const conductor *of, double swing, double turn[9], double as
         for (int j = 0; j < 3; j++)
             turn[3 * i + j] =
                 raw[3 * i] * project[j] + raw[3 * i + 1] * project[3 + j] + raw[3 * i + 2] * project[6 + j];
-    gravity(c, swing + 0.5 * 3.14159265358979323846, aside);
+    gravity(c, swing + 0.5 * PI, aside);
     for (int k = 0; k < 3; k++)
         along += aside[k] * unit[k];
     for (int k = 0; k < 3; k++)
@@ -104,12 +105,6 @@ static void terms(const survey *of, const double *theta, const offsets *seen, do
     }
 }
 
-static int rising(const void *a, const void *b)
-{
-    double x = *(const double *)a, y = *(const double *)b;
-    return (x > y) - (x < y);
-}
-
 /* NaN where any of the values is. */
 static double median_of_absolutes(const double *values, Py_ssize_t count, double *room)
 {
@@ -147,13 +142,6 @@ static void weigh(const offsets *seen, const double *settings, const double *noi
                 of[j] += factor * row[j];
         }
     }
-}
-
-static double bounded(double value, double low, double high)
-{
-    /* NaN stays */
-    value = low > value ? low : value;
-    return high < value ? high : value;
 }
 
 /* What is asked of an estimate, and what it answers. */
@@ -203,8 +191,8 @@ static double advance(estimate *e, const double *shared, double *posterior)
     }
     for (int k = 0; k < width; k++)
         e->theta[k] += step[k] / ratio;
-    e->theta[SAG] = bounded(e->theta[SAG], e->settings[SAG_LOW], e->settings[SAG_HIGH]);
-    e->theta[SWING] = bounded(e->theta[SWING], e->settings[SWING_LOW], e->settings[SWING_HIGH]);
+    e->theta[SAG] = clipped(e->theta[SAG], e->settings[SAG_LOW], e->settings[SAG_HIGH]);
+    e->theta[SWING] = clipped(e->theta[SWING], e->settings[SWING_LOW], e->settings[SWING_HIGH]);
     return length_of(step, posterior, width);
 }
 

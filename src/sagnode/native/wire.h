@@ -16,9 +16,12 @@ static inline double error_function(double x, double *falling)
     return sign * (1.0 - series * fall);
 }
 
+/* Half a wire's width; none is so thin that it has no sides. */
+static inline double half_width(double width) { return 0.5 * (width > 0.05 ? width : 0.05); }
+
 static inline double wire_kernel(double width, double position, double blur)
 {
-    double half = 0.5 * (width > 0.05 ? width : 0.05), scale = 1.0 / (blur * sqrt(2.0));
+    double half = half_width(width), scale = 1.0 / (blur * sqrt(2.0));
     double unused;
     return 0.5 * (error_function((position + half) * scale, &unused) -
                   error_function((position - half) * scale, &unused));
