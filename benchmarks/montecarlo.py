@@ -25,9 +25,10 @@ import numpy as np
 from groups import groups_by_name
 from run import REPORT_SEED, ROOT
 from sagnode.estimate.camera import LandmarkObservations, solve_camera
-from sagnode.estimate.joint import CurveObservations, correlated_error, solve
+from sagnode.estimate.joint import solve
 from sagnode.estimate.locate import locate
 from sagnode.estimate.matched import Matched
+from sagnode.estimate.offsets import CurveObservations, correlated_error
 from sagnode.estimate.register import Registered, register
 from sagnode.estimate.tell import K95, propagate
 from sagnode.geometry.camera import FloatArray, project

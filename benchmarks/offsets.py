@@ -19,8 +19,8 @@ import numpy as np
 
 from looks import Look, looks
 from run import DEVELOPMENT_SEED
-from sagnode.estimate.joint import CORRELATED_PX, CORRELATION_LENGTH_PX
 from sagnode.estimate.matched import Matched
+from sagnode.estimate.offsets import CORRELATED_PX, CORRELATION_LENGTH_PX
 from sagnode.geometry.camera import FloatArray
 from sagnode.scene.truth import pixel_curve
 

@@ -8,9 +8,9 @@ from both_ways import in_numpy
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sagnode.estimate import joint
 from sagnode.estimate.camera import CameraKnowledge, LandmarkObservations, solve_camera
-from sagnode.estimate.joint import CurveObservations, curve_terms, curve_uncertainty, solve
+from sagnode.estimate.joint import curve_uncertainty, solve
+from sagnode.estimate.offsets import CurveObservations, curve_terms, words
 from sagnode.geometry.camera import Intrinsics, Pose, project, rotation_from_angles
 from sagnode.native import kernels
 from sagnode.survey import SAG, SIZE, SWING, Survey
@@ -166,7 +166,7 @@ def test_the_uncertainty_of_the_curve_is_that_of_numpy():
 
 
 @pytest.mark.parametrize(
-    ("place", "other", "error", "words"),
+    ("place", "other", "error", "message"),
     [
         (0, np.zeros(3), ValueError, "lens"),
         (5, np.zeros(27), ValueError, "theta"),
@@ -182,11 +182,11 @@ def test_the_uncertainty_of_the_curve_is_that_of_numpy():
         (21, np.zeros((12, 18)), ValueError, "jacobian"),
     ],
 )
-def test_arguments_that_do_not_fit_are_refused(place, other, error, words):
+def test_arguments_that_do_not_fit_are_refused(place, other, error, message):
     survey, start, _, curve = question(4, count=12)
-    asked = [*joint._words(survey, start, curve), 18, curve.arc, curve.sigma, np.eye(28), np.zeros(28), np.ones(18)]
+    asked = [*words(survey, start, curve), 18, curve.arc, curve.sigma, np.eye(28), np.zeros(28), np.ones(18)]
     asked += [np.ones(10), 5, np.zeros((28, 28)), *np.zeros((3, 12)), np.zeros((12, 28))]
     kernels.solve(*asked)
     asked[place] = other
-    with pytest.raises(error, match=words):
+    with pytest.raises(error, match=message):
         kernels.solve(*asked)

@@ -13,32 +13,31 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 from types import ModuleType
-from typing import Any
 
 import numpy as np
 
 from sagnode.estimate.camera import CameraKnowledge
+from sagnode.estimate.offsets import (
+    CORRELATED_PX,
+    CORRELATED_SHARE,
+    CORRELATION_LENGTH_PX,
+    CurveObservations,
+    correlated_error,
+    curve_residual,
+    curve_terms,
+    finer_load_error,
+    words,
+)
 from sagnode.estimate.steps import SETTLED, robust_weights, solve_scaled, step_length
-from sagnode.geometry.camera import FloatArray, project, projection_derivatives
-from sagnode.geometry.conductor import conductor_derivatives, finer_load_shapes, gravity_direction, load_shapes
+from sagnode.geometry.camera import FloatArray
 from sagnode.match.robust import median
 from sagnode.native import kernels
 from sagnode.survey import CAMERA, LOAD, SAG, SIZE, SWING, Survey
 
-CORRELATED_PX = 0.03
-"""Least standard deviation of what neighbouring offsets share: residuals of the lens model, the wire's own shading."""
-CORRELATED_SHARE = 0.7
-"""The same, relative to an offset's own: what makes a block uncertain, texture behind it, reaches over to the next."""
-CORRELATION_LENGTH_PX = 60.0
 CAUCHY_CURVE = 2.5
 """Standardised residual at which an offset counts half."""
 ANEW = 0.5
 """A step of more than this many standard uncertainties makes the derivatives be taken anew."""
-SHAPE = slice(10, 18)
-"""Attachments, sag and swing among the unknowns."""
-FINEST_LOAD = 40
-"""Last term of an uneven load that is reckoned with: those beyond the solved ones are an error that the offsets share.
-A weight's kink needs them; beyond this one they move a wire by less than a millimetre."""
 STRIDE = (0.1, np.radians(2.0))
 """Longest steps: of sag, as a share of its surveyed range, and of swing."""
 SWING_MAX = 1.4
@@ -55,43 +54,6 @@ SOURCES = {
     "load prior": LOAD,
 }
 """The prior's sources of uncertainty, by their unknowns."""
-
-
-@dataclass(frozen=True)
-class CurveObservations:
-    """Offsets of the wire across the curve at some parameters.
-
-    Attributes:
-        t: curve parameters (M,).
-        arc: position along the curve, px (M,).
-        normal: unit normals (M, 2).
-        measured: pixels (M, 2) on the wire: curve plus offset along the normal.
-        sigma: white standard uncertainty of the offsets, px (M,).
-        texture: standard deviation of what the chance that an offset is no wire's adds to the estimate's uncertainty,
-            though it does not weigh in the estimate, px (M,); None where there is none beyond ``sigma``.
-    """
-
-    t: FloatArray
-    arc: FloatArray
-    normal: FloatArray
-    measured: FloatArray
-    sigma: FloatArray
-    texture: FloatArray | None = None
-
-    @cached_property
-    def load_shapes(self) -> FloatArray:
-        """What the terms of an uneven load add to the depth there, over the sag (10, M)."""
-        return load_shapes(self.t, LOAD.stop - LOAD.start)
-
-    @cached_property
-    def in_order(self) -> bool:
-        """Whether the offsets follow each other along the curve."""
-        return bool((self.arc[1:] >= self.arc[:-1]).all())
-
-    @cached_property
-    def finer_load_shapes(self) -> FloatArray:
-        """The same of the terms that are too fine to be solved for (30, M)."""
-        return finer_load_shapes(self.t, LOAD.stop - LOAD.start + 1, FINEST_LOAD)
 
 
 @dataclass(frozen=True)
@@ -152,57 +114,10 @@ class Solution:
         return pieces
 
 
-def curve_residual(survey: Survey, theta: FloatArray, curve: CurveObservations) -> FloatArray:
-    """Residuals (M,) of the offsets across the curve."""
-    intrinsics, pose = survey.camera(theta)
-    points = survey.shape(theta).points(curve.t)
-    return np.asarray(np.sum((curve.measured - project(intrinsics, pose, points)[0]) * curve.normal, axis=1))
-
-
-def curve_terms(survey: Survey, theta: FloatArray, curve: CurveObservations) -> tuple[FloatArray, FloatArray]:
-    """Residuals (M,) of the offsets across the curve, and the curve's derivatives there by θ (M, 28)."""
-    if kernels is not None:
-        residual, jacobian = np.empty(len(curve.t)), np.empty((len(curve.t), SIZE))
-        kernels.curve_terms(*_words(survey, theta, curve), len(survey.unknowns()), residual, jacobian)
-        return residual, jacobian
-    intrinsics, pose = survey.camera(theta)
-    shape = survey.shape(theta)
-    own = (shape.near, shape.far, float(theta[SAG]), float(theta[SWING]))
-    points, by_shape = conductor_derivatives(*own, curve.t, shape.load)
-    residual = np.sum((curve.measured - project(intrinsics, pose, points)[0]) * curve.normal, axis=1)
-    by_point, by_camera = projection_derivatives(intrinsics, pose, points)
-    across = np.einsum("mi,mij->mj", curve.normal, by_point)
-    jacobian = np.zeros((len(curve.t), SIZE))
-    jacobian[:, CAMERA] = np.einsum("mi,mik->mk", curve.normal, by_camera)
-    jacobian[:, SHAPE] = np.einsum("mj,mjk->mk", across, by_shape)
-    down = across @ gravity_direction(own[0], own[1], own[3])
-    jacobian[:, LOAD] = own[2] * down[:, None] * curve.load_shapes.T
-    return residual, jacobian
-
-
 def curve_uncertainty(survey: Survey, solution: Solution, curve: CurveObservations) -> FloatArray:
     """Standard uncertainty (M,) of the solved curve across itself, px; the offsets and their own do not matter."""
     _, jacobian = curve_terms(survey, solution.theta, curve)
     return np.asarray(np.sqrt(np.maximum(np.einsum("mi,ij,mj->m", jacobian, solution.covariance, jacobian), 0.0)))
-
-
-def correlated_error(arc: FloatArray, sigma: FloatArray) -> FloatArray:
-    """Covariance (M, M) of what offsets at ``arc`` (M,) along a curve share, px²; ``sigma`` (M,) is their own."""
-    distance = np.abs(arc[:, None] - arc[None, :])
-    shared = np.hypot(CORRELATED_PX, CORRELATED_SHARE * sigma)
-    return np.asarray(shared[:, None] * shared * np.exp(-distance / CORRELATION_LENGTH_PX))
-
-
-def finer_load_error(survey: Survey, theta: FloatArray, curve: CurveObservations) -> FloatArray:
-    """Covariance (M, M), px², of the offsets by the terms of an uneven load that are too fine to be solved for."""
-    intrinsics, pose = survey.camera(theta)
-    shape = survey.shape(theta)
-    by_point, _ = projection_derivatives(intrinsics, pose, shape.points(curve.t))
-    down = np.einsum(
-        "mi,mij,j->m", curve.normal, by_point, gravity_direction(shape.near, shape.far, float(theta[SWING]))
-    )
-    moved = survey.load_u * float(theta[SAG]) * down * curve.finer_load_shapes
-    return np.asarray(moved.T @ moved)
 
 
 def solve(
@@ -256,7 +171,7 @@ def _solve_compiled(compiled: ModuleType, asked: _Question) -> Solution:
     """:func:`_solve`, where the offsets follow each other along the curve."""
     curve, theta = asked.curve, asked.start.astype(np.float64)
     along = (np.ascontiguousarray(part, dtype=np.float64) for part in (curve.arc, curve.sigma))
-    own = (*_words(asked.survey, theta, curve), len(asked.longest), *along)
+    own = (*words(asked.survey, theta, curve), len(asked.longest), *along)
     own = (*own, asked.known, asked.target, asked.longest, np.array([*_SETTINGS, *asked.bounds]), asked.iterations)
     covariance, jacobian = np.empty((SIZE, SIZE)), np.empty((len(curve.t), SIZE))
     residual, weight, noise = np.empty((3, len(curve.t)))
@@ -274,13 +189,6 @@ def _solve_compiled(compiled: ModuleType, asked: _Question) -> Solution:
         curve=curve,
         camera=asked.camera,
     )
-
-
-def _words(survey: Survey, theta: FloatArray, curve: CurveObservations) -> tuple[Any, ...]:
-    """Survey, θ and offsets, as compiled functions take them."""
-    ends = (np.asarray(part, dtype=np.float64) for part in (survey.near, survey.far))
-    seen = (theta, curve.t, curve.normal, curve.measured)
-    return (*survey.packed, *ends, *(np.ascontiguousarray(part, dtype=np.float64) for part in seen))
 
 
 def _solve(asked: _Question) -> Solution:

@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sagnode.capture.port import GreyImage
-from sagnode.estimate.joint import CurveObservations, Solution, curve_uncertainty, solve
+from sagnode.estimate.joint import Solution, curve_uncertainty, solve
+from sagnode.estimate.offsets import CurveObservations
 from sagnode.estimate.register import Registered, moved_survey
 from sagnode.geometry.camera import FloatArray
 from sagnode.match.refine import Observed, observe

@@ -219,7 +219,7 @@ def curve_terms(
     residual: Array,
     jacobian: Array,
 ) -> None:
-    """:func:`sagnode.estimate.joint.curve_terms` into residual (M,) and jacobian (M, 28).
+    """:func:`sagnode.estimate.offsets.curve_terms` into residual (M,) and jacobian (M, 28).
 
     Camera and conductor are those of the survey; theta (28,), t, normal and measured are without gaps; free is how many
     of theta are unknown, 18 or 28.

@@ -7,7 +7,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-/* What sagnode.estimate.joint hands over of its constants and limits, in this order. */
+/* What sagnode.estimate.joint hands over of constants and limits, in this order. */
 enum { LEAST_SHARED, SHARE, REACH_PX, CAUCHY, SETTLED, ANEW, SAG_LOW, SAG_HIGH, SWING_LOW, SWING_HIGH, SETTINGS };
 
 /* Camera and conductor as they are surveyed. */

@@ -1,0 +1,119 @@
+"""What offsets of a wire across a predicted curve say: residuals, their derivatives by θ, and the error they share.
+
+The unknowns θ (28,) are those of :mod:`sagnode.survey`; the frame is the site's, offsets are px.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from sagnode.geometry.camera import FloatArray, project, projection_derivatives
+from sagnode.geometry.conductor import conductor_derivatives, finer_load_shapes, gravity_direction, load_shapes
+from sagnode.native import kernels
+from sagnode.survey import CAMERA, LOAD, SAG, SIZE, SWING, Survey
+
+CORRELATED_PX = 0.03
+"""Least standard deviation of what neighbouring offsets share: residuals of the lens model, the wire's own shading."""
+CORRELATED_SHARE = 0.7
+"""The same, relative to an offset's own: what makes a block uncertain, texture behind it, reaches over to the next."""
+CORRELATION_LENGTH_PX = 60.0
+SHAPE = slice(10, 18)
+"""Attachments, sag and swing among the unknowns."""
+FINEST_LOAD = 40
+"""Last term of an uneven load that is reckoned with: those beyond the solved ones are an error that the offsets share.
+A weight's kink needs them; beyond this one they move a wire by less than a millimetre."""
+
+
+@dataclass(frozen=True)
+class CurveObservations:
+    """Offsets of the wire across the curve at some parameters.
+
+    Attributes:
+        t: curve parameters (M,).
+        arc: position along the curve, px (M,).
+        normal: unit normals (M, 2).
+        measured: pixels (M, 2) on the wire: curve plus offset along the normal.
+        sigma: white standard uncertainty of the offsets, px (M,).
+        texture: standard deviation of what the chance that an offset is no wire's adds to the estimate's uncertainty,
+            though it does not weigh in the estimate, px (M,); None where there is none beyond ``sigma``.
+    """
+
+    t: FloatArray
+    arc: FloatArray
+    normal: FloatArray
+    measured: FloatArray
+    sigma: FloatArray
+    texture: FloatArray | None = None
+
+    @cached_property
+    def load_shapes(self) -> FloatArray:
+        """What the terms of an uneven load add to the depth there, over the sag (10, M)."""
+        return load_shapes(self.t, LOAD.stop - LOAD.start)
+
+    @cached_property
+    def in_order(self) -> bool:
+        """Whether the offsets follow each other along the curve."""
+        return bool((self.arc[1:] >= self.arc[:-1]).all())
+
+    @cached_property
+    def finer_load_shapes(self) -> FloatArray:
+        """The same of the terms that are too fine to be solved for (30, M)."""
+        return finer_load_shapes(self.t, LOAD.stop - LOAD.start + 1, FINEST_LOAD)
+
+
+def curve_residual(survey: Survey, theta: FloatArray, curve: CurveObservations) -> FloatArray:
+    """Residuals (M,) of the offsets across the curve."""
+    intrinsics, pose = survey.camera(theta)
+    points = survey.shape(theta).points(curve.t)
+    return np.asarray(np.sum((curve.measured - project(intrinsics, pose, points)[0]) * curve.normal, axis=1))
+
+
+def curve_terms(survey: Survey, theta: FloatArray, curve: CurveObservations) -> tuple[FloatArray, FloatArray]:
+    """Residuals (M,) of the offsets across the curve, and the curve's derivatives there by θ (M, 28)."""
+    if kernels is not None:
+        residual, jacobian = np.empty(len(curve.t)), np.empty((len(curve.t), SIZE))
+        kernels.curve_terms(*words(survey, theta, curve), len(survey.unknowns()), residual, jacobian)
+        return residual, jacobian
+    intrinsics, pose = survey.camera(theta)
+    shape = survey.shape(theta)
+    own = (shape.near, shape.far, float(theta[SAG]), float(theta[SWING]))
+    points, by_shape = conductor_derivatives(*own, curve.t, shape.load)
+    residual = np.sum((curve.measured - project(intrinsics, pose, points)[0]) * curve.normal, axis=1)
+    by_point, by_camera = projection_derivatives(intrinsics, pose, points)
+    across = np.einsum("mi,mij->mj", curve.normal, by_point)
+    jacobian = np.zeros((len(curve.t), SIZE))
+    jacobian[:, CAMERA] = np.einsum("mi,mik->mk", curve.normal, by_camera)
+    jacobian[:, SHAPE] = np.einsum("mj,mjk->mk", across, by_shape)
+    down = across @ gravity_direction(own[0], own[1], own[3])
+    jacobian[:, LOAD] = own[2] * down[:, None] * curve.load_shapes.T
+    return residual, jacobian
+
+
+def correlated_error(arc: FloatArray, sigma: FloatArray) -> FloatArray:
+    """Covariance (M, M) of what offsets at ``arc`` (M,) along a curve share, px²; ``sigma`` (M,) is their own."""
+    distance = np.abs(arc[:, None] - arc[None, :])
+    shared = np.hypot(CORRELATED_PX, CORRELATED_SHARE * sigma)
+    return np.asarray(shared[:, None] * shared * np.exp(-distance / CORRELATION_LENGTH_PX))
+
+
+def finer_load_error(survey: Survey, theta: FloatArray, curve: CurveObservations) -> FloatArray:
+    """Covariance (M, M), px², of the offsets by the terms of an uneven load that are too fine to be solved for."""
+    intrinsics, pose = survey.camera(theta)
+    shape = survey.shape(theta)
+    by_point, _ = projection_derivatives(intrinsics, pose, shape.points(curve.t))
+    down = np.einsum(
+        "mi,mij,j->m", curve.normal, by_point, gravity_direction(shape.near, shape.far, float(theta[SWING]))
+    )
+    moved = survey.load_u * float(theta[SAG]) * down * curve.finer_load_shapes
+    return np.asarray(moved.T @ moved)
+
+
+def words(survey: Survey, theta: FloatArray, curve: CurveObservations) -> tuple[Any, ...]:
+    """Survey, θ and offsets, as compiled functions take them."""
+    ends = (np.asarray(part, dtype=np.float64) for part in (survey.near, survey.far))
+    seen = (theta, curve.t, curve.normal, curve.measured)
+    return (*survey.packed, *ends, *(np.ascontiguousarray(part, dtype=np.float64) for part in seen))
