@@ -7,22 +7,16 @@ import pytest
 from both_ways import in_numpy
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from solving import LENSES
 
 from sagnode.geometry import camera
-from sagnode.geometry.camera import Intrinsics, Pose, rotation_from_angles
+from sagnode.geometry.camera import Pose, rotation_from_angles
 from sagnode.geometry.conductor import conductor_points
 from sagnode.match.templates import View, visible_part
 from sagnode.match.track import trace
 from sagnode.native import kernels
 
 pytestmark = pytest.mark.skipif(kernels is None, reason="the extension was not built here")
-
-LENSES = {
-    "perfect": Intrinsics(1456, 1088, 1200.0, 1210.0, 730.0, 540.0),
-    "pinhole": Intrinsics(1456, 1088, 1200.0, 1210.0, 730.0, 540.0, (-0.12, 0.05, 1e-4, -2e-4, 0.01)),
-    "rational": Intrinsics(1456, 1088, 900.0, 905.0, 730.0, 540.0, (0.3, 0.05, 1e-4, -2e-4, 0.01, 0.4, 0.1, 0.02)),
-    "fisheye": Intrinsics(1456, 1088, 500.0, 502.0, 730.0, 540.0, (0.02, -0.01, 0.003, -0.001), "fisheye"),
-}
 
 
 def view(seed, lens="pinhole"):

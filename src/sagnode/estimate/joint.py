@@ -3,13 +3,15 @@ r"""The joint estimate: camera, attachments, sag, swing and load at once, maximu
 The unknowns θ are those of :mod:`sagnode.survey`, whose standard uncertainties are the prior P. Observations are
 tracked landmarks and offsets of the wire across the predicted curve, px. With J their derivatives by θ and C their
 covariances, Gauss-Newton steps, shortened where they go farther than the prior allows, minimise
-``Σ rᵀC⁻¹r + (θ-θ₀)ᵀP⁻¹(θ-θ₀)``; the posterior covariance is ``(Σ JᵀC⁻¹J + P⁻¹)⁻¹``. What does not settle says so.
+``Σ rᵀC⁻¹r + (θ-θ₀)ᵀP⁻¹(θ-θ₀)``; the posterior covariance is ``(Σ JᵀC⁻¹J + P⁻¹)⁻¹``. What does not settle says so. A
+step that leads nowhere, to where an offset has no finite residual, is not taken, and no other after it.
 
 What landmarks say (:mod:`sagnode.estimate.camera`) comes as a quadratic form that is added to each conductor's prior.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 from types import ModuleType
@@ -28,7 +30,7 @@ from sagnode.estimate.offsets import (
     finer_load_error,
     words,
 )
-from sagnode.estimate.steps import SETTLED, robust_weights, solve_scaled, step_length
+from sagnode.estimate.steps import SETTLED, robust_weights, solve_scaled, solved, step_length
 from sagnode.geometry.camera import FloatArray
 from sagnode.match.robust import median
 from sagnode.native import kernels
@@ -62,11 +64,12 @@ class Solution:
 
     Attributes:
         theta: estimate (28,).
-        covariance: posterior (28, 28); zero where nothing is unknown.
+        covariance: posterior (28, 28); zero where nothing is unknown; the prior's where no step could be taken.
         residual: curve residuals, px (M,).
         weight: robust weights (M,) in [0, 1].
         inflation: factor by which the curve's variance exceeded what was expected (at least 1).
-        misfit: what was minimised, at its end: residuals and corrections to the prior, each over its variance.
+        misfit: what was minimised, at its end: residuals and corrections to the prior, each over its variance;
+            infinite where a step led nowhere.
         converged: the last step was smaller than a hundredth of a standard uncertainty.
         jacobian: derivatives of the residuals (M, 28).
         white: variance of the offsets by themselves as weighted, px² (M,).
@@ -202,7 +205,8 @@ def _solve(asked: _Question) -> Solution:
     diagonal = np.diag_indices_from(correlated)
     shared = correlated[diagonal]
     expected = white + shared
-    theta, converged, inflation = asked.start.copy(), False, 1.0
+    theta, converged, nowhere, inflation = asked.start.copy(), False, False, 1.0
+    posterior = solve_scaled(known_free, target_free)[1]
     residual, jacobian = curve_terms(survey, theta, curve)
     for step_number in range(asked.iterations):
         spread = max(1.4826 * median(np.abs(residual)), 1e-3) if step_number < 2 else 0.0
@@ -212,16 +216,22 @@ def _solve(asked: _Question) -> Solution:
         own = jacobian[:, free]
         together = correlated.copy()
         together[diagonal] += noise
-        gain = np.linalg.solve(together, np.column_stack([own, residual])).T @ own / inflation
-        step, posterior = solve_scaled(known_free + gain[:-1], target_free - known_free @ theta[free] + gain[-1])
+        gain = solved(together, np.column_stack([own, residual])).T @ own / inflation
+        step, after = solve_scaled(known_free + gain[:-1], target_free - known_free @ theta[free] + gain[-1])
+        before = theta.copy()
         theta[free] += step / max(1.0, float(np.max(np.abs(step) / asked.longest)))
         theta[SAG] = min(max(theta[SAG], sag_low), sag_high)
         theta[SWING] = min(max(theta[SWING], swing_low), swing_high)
-        length = step_length(step, posterior)
+        length = step_length(step, after)
         if length > ANEW:
             residual, jacobian = curve_terms(survey, theta, curve)
         else:
             residual = curve_residual(survey, theta, curve)
+        if not (np.isfinite(length) and np.isfinite(residual).all()):
+            theta, nowhere = before, True
+            residual, jacobian = curve_terms(survey, theta, curve)
+            break
+        posterior = after
         if step_number >= 2 and length < SETTLED:
             converged = True
             break
@@ -233,7 +243,7 @@ def _solve(asked: _Question) -> Solution:
         residual=residual,
         weight=weight,
         inflation=inflation,
-        misfit=_misfit(residual, noise, correlated, theta, known, target),
+        misfit=math.inf if nowhere else _misfit(residual, noise, correlated, theta, known, target),
         converged=converged,
         jacobian=jacobian,
         white=noise,
@@ -252,7 +262,7 @@ def _misfit(
     target: FloatArray,
 ) -> float:
     """Residuals over their covariance, and the corrections to what was known before over theirs (up to a constant)."""
-    of_curve = residual @ np.linalg.solve(np.diag(noise) + correlated, residual)
+    of_curve = residual @ solved(np.diag(noise) + correlated, residual)
     return float(of_curve + theta @ known @ theta - 2 * target @ theta)
 
 

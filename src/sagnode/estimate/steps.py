@@ -15,13 +15,24 @@ def robust_weights(z2: FloatArray, limit: float) -> FloatArray:
     return np.asarray(1.0 / (1.0 + z2 / limit**2))
 
 
+def solved(matrix: FloatArray, right: FloatArray) -> FloatArray:
+    """Solution of linear equations; NaN where the matrix has no inverse, which the caller refuses as a step."""
+    try:
+        return np.asarray(np.linalg.solve(matrix, right))
+    except np.linalg.LinAlgError:
+        return np.full_like(right, np.nan)
+
+
 def solve_scaled(matrix: FloatArray, vector: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Solution of a normal equation whose unknowns have very different sizes, and the inverse of its matrix."""
+    """Solution of a normal equation whose unknowns have very different sizes, and the inverse of its matrix.
+
+    NaN where there is none.
+    """
     scale = 1 / np.sqrt(np.diag(matrix))
     both = scale[:, None] * scale
     scaled = matrix * both
     scaled[np.diag_indices_from(scaled)] += 1e-9
-    inverse = np.linalg.inv(scaled)
+    inverse = solved(scaled, np.eye(len(scaled)))
     return np.asarray(scale * (inverse @ (scale * vector))), np.asarray(inverse * both)
 
 

@@ -196,27 +196,60 @@ static double advance(estimate *e, const double *shared, double *posterior)
     return length_of(step, posterior, width);
 }
 
+static int all_finite(const double *values, Py_ssize_t count)
+{
+    for (Py_ssize_t k = 0; k < count; k++)
+        if (!isfinite(values[k]))
+            return 0;
+    return 1;
+}
+
+/* What is known before any step: the prior's covariance (width, width). */
+static void begin(const estimate *e, double *posterior)
+{
+    double matrix[SIZE * SIZE], none[SIZE] = {0}, step[SIZE];
+    int width = e->of.free;
+    for (int k = 0; k < width * width; k++)
+        matrix[k] = e->known[k / width * SIZE + k % width];
+    solve_scaled(matrix, none, width, step, posterior);
+}
+
 /* `room` holds twice as many numbers as there are offsets. */
 static void settle(estimate *e, double *room)
 {
-    double *shared = room + e->seen.count, posterior[SIZE * SIZE], sums[1];
-    int width = e->of.free;
+    double *shared = room + e->seen.count, posterior[SIZE * SIZE], after[SIZE * SIZE], before[SIZE], sums[1];
+    int width = e->of.free, steps = 0, nowhere = 0;
     for (Py_ssize_t n = 0; n < e->seen.count; n++) {
         double own = hypot(e->settings[LEAST_SHARED], e->settings[SHARE] * e->seen.sigma[n]);
         shared[n] = own * own;
     }
     terms(&e->of, e->theta, &e->seen, e->residual, e->jacobian);
-    for (int k = 0; k < e->iterations && !e->converged; k++) {
+    for (int k = 0; k < e->iterations && !e->converged && !nowhere; k++) {
         double spread = k < 2 ? least(1.4826 * median_of_absolutes(e->residual, e->seen.count, room), 1e-3) : 0.0;
         weights(e, shared, spread);
-        double length = advance(e, shared, posterior);
+        memcpy(before, e->theta, sizeof before);
+        double length = advance(e, shared, after);
         terms(&e->of, e->theta, &e->seen, e->residual, length > e->settings[ANEW] ? e->jacobian : NULL);
+        nowhere = !(isfinite(length) && all_finite(e->residual, e->seen.count));
+        if (nowhere) {
+            memcpy(e->theta, before, sizeof before);
+            terms(&e->of, e->theta, &e->seen, e->residual, e->jacobian);
+            continue;
+        }
+        memcpy(posterior, after, sizeof posterior);
+        steps++;
         e->converged = k >= 2 && length < e->settings[SETTLED];
     }
+    if (steps == 0)
+        begin(e, posterior);
     memset(e->covariance, 0, SIZE * SIZE * sizeof *e->covariance);
     for (int i = 0; i < width; i++)
         for (int j = 0; j < width; j++)
             e->covariance[i * SIZE + j] = posterior[i * width + j];
+    if (nowhere) {
+        e->misfit = INFINITY;
+        return;
+    }
     weigh(&e->seen, e->settings, e->noise, shared, e->jacobian, 0, e->residual, sums);
     e->misfit = sums[0];
     for (int i = 0; i < SIZE; i++) {
