@@ -29,7 +29,7 @@ class HandClock(Clock):
 def test_system_clock_is_aware_utc():
     clock = SystemClock()
     assert clock.now().utcoffset() == timedelta(0)
-    assert 0.9 < clock.idle_s(clock.now() + timedelta(seconds=1)) <= 1.0
+    assert 3500 < clock.idle_s(clock.now() + timedelta(hours=1)) <= 3600
     assert clock.idle_s(clock.now() - timedelta(seconds=1)) == 0.0
 
 
@@ -37,7 +37,7 @@ def test_virtual_clock_jumps_when_idle_and_runs_while_working():
     clock = VirtualClock(START)
     assert clock.idle_s(START + timedelta(hours=6)) == 0.0
     time.sleep(0.05)
-    assert timedelta(seconds=0.05) <= clock.now() - START - timedelta(hours=6) < timedelta(seconds=1)
+    assert timedelta(seconds=0.05) <= clock.now() - START - timedelta(hours=6) < timedelta(hours=1)
     clock.idle_s(START)
     assert clock.now() > START + timedelta(hours=6)
 

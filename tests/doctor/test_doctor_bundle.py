@@ -6,7 +6,7 @@ import tarfile
 import tomllib
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sagnode.cli.main import main
@@ -42,12 +42,14 @@ def test_what_is_no_secret_stays():
     assert redact("a b a", ["a"]) == "a b a"
 
 
+@settings(deadline=None)
 @given(st.text(st.characters(min_codepoint=33, max_codepoint=126), min_size=4), st.text(), st.text())
 def test_a_known_value_is_nowhere(secret, before, after):
     if secret not in MARK:
         assert secret not in redact(f"{before} {secret} {after}", [secret]).replace(MARK, "")
 
 
+@settings(deadline=None)
 @given(st.text(st.characters(min_codepoint=32, max_codepoint=126)))
 def test_a_redacted_file_is_still_toml(value):
     text = f"password = {json.dumps(value)}\nhost = 'b'\n"

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sagnode.geometry.conductor import (
@@ -48,6 +48,7 @@ def test_chord_sag_of_published_spans(
     assert profile.max() == pytest.approx(chord_sag, abs=tolerance)
 
 
+@settings(deadline=None)
 @given(
     span=st.floats(20, 800),
     slope=st.floats(-0.3, 0.3),
@@ -59,6 +60,7 @@ def test_the_constant_gives_the_sag_it_was_solved_for(span: float, slope: float,
     assert mid_sag(span, slope * span, constant) == pytest.approx(sag, rel=1e-6)
 
 
+@settings(deadline=None)
 @given(span=st.floats(20, 800), slope=st.floats(-0.3, 0.3), ratio=st.floats(0.002, 0.1))
 def test_profile_is_a_catenary_everywhere(span: float, slope: float, ratio: float) -> None:
     sag, rise = ratio * span, slope * span

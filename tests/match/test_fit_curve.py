@@ -11,6 +11,7 @@ from sagnode.match.fit_curve import Curve, Prior, adjust, shares
 FLAT = Curve(np.array([[0.0, 0.0], [400.0, 160.0], [800.0, 20.0]]), 1.2)
 
 
+@settings(deadline=None)
 @given(st.floats(0.0, 1.0), st.floats(0.6, 3.5))
 def test_shares_sum_to_one(t: float, weight: float) -> None:
     share = shares(np.array([t]), weight)
@@ -18,7 +19,7 @@ def test_shares_sum_to_one(t: float, weight: float) -> None:
     assert (share >= 0).all()
 
 
-@settings(max_examples=25)
+@settings(max_examples=25, deadline=None)
 @given(st.floats(-40, 40), st.floats(20, 200), st.floats(0.5, 8.0))
 def test_the_picture_of_a_parabola_in_space_is_the_rational_bezier(x: float, depth: float, ratio: float) -> None:
     near, far = np.array([x, -5.0, depth]), np.array([-x / 2, -3.0, depth * ratio])

@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sagnode.reference.bezier import bezier_points, fitted_handle, lowest_point, stationary_parameters
@@ -8,6 +8,7 @@ from sagnode.reference.bezier import bezier_points, fitted_handle, lowest_point,
 pixel = st.tuples(st.floats(-500, 4500), st.floats(-500, 3500))
 
 
+@settings(deadline=None)
 @given(pixel, pixel, pixel)
 def test_lowest_point_is_the_lowest_of_all_points(p0, p1, p2):
     control = np.array([p0, p1, p2])

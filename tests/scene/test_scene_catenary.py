@@ -52,6 +52,7 @@ def test_a_catenary_satisfies_its_differential_equation() -> None:
     np.testing.assert_allclose(bend[inner], np.sqrt(1 + slope[inner] ** 2) / a, rtol=2e-5)
 
 
+@settings(deadline=None)
 @given(
     span=st.floats(5, 800),
     sag_ratio=st.floats(0.002, 0.15),
@@ -190,7 +191,7 @@ def test_a_load_without_weight_changes_nothing() -> None:
     np.testing.assert_allclose(profile(270.0, -20.0, state, S), profile(270.0, -20.0, WireState(8.0), S), atol=1e-9)
 
 
-@settings(max_examples=25)
+@settings(max_examples=25, deadline=None)
 @given(
     start=st.floats(0.0, 0.6),
     length=st.floats(0.05, 0.4),

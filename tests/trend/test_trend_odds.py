@@ -7,7 +7,7 @@ from dataclasses import replace
 from statistics import NormalDist
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sagnode.trend.odds import TAU_S, Change, normal, odds_of_mistake, reached, thermal_density
@@ -38,6 +38,7 @@ def test_what_heat_cannot_do_only_the_readings_own_uncertainty_explains() -> Non
     assert beyond / limit == pytest.approx(math.exp(-0.5 * (2.387 / 0.4) ** 2), rel=0.02)
 
 
+@settings(deadline=None)
 @given(SIZES, st.floats(0.05, 20.0), SPANS_OF_TIME)
 def test_heating_is_as_likely_as_cooling_and_less_likely_the_more(kelvin: float, u: float, after_s: float) -> None:
     change = Change(kelvin, u, after_s)
@@ -52,6 +53,7 @@ def test_the_density_is_one_of_probability(after_s: float) -> None:
     assert whole == pytest.approx(1.0, abs=1e-3)
 
 
+@settings(deadline=None)
 @given(SIZES, st.floats(0.05, 20.0), SPANS_OF_TIME, SIZES)
 def test_company_never_makes_a_change_likelier_than_heat_does(
     kelvin: float, u: float, after_s: float, other: float

@@ -236,7 +236,7 @@ def _symmetric(middles: FloatArray) -> bool:
 
 
 def compare(profiles: FloatArray, kernel: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Slide kernels (M, n) of :func:`unit_kernels` over profiles (M, K).
+    """Slide kernels (M, n) of :func:`sagnode.match.kernels.unit_kernels` over profiles (M, K).
 
     Returns:
         Amplitude (M, K-n+1) of the kernel in each window, signed, and the window's energy without mean and slope.

@@ -1,5 +1,5 @@
-/* Mean grey profiles across a curve, block by block: see sagnode.match.localise._profiles and sagnode.match.ribbon.
-   straighten, which do the same in NumPy. Grey values are bilinear, and summed without being kept. */
+/* Grey values across a curve: see sagnode.match.ribbon.straighten and sagnode.match.across, which do the same in NumPy.
+   They are bilinear, and summed without being kept. */
 #include "profile.h"
 #include <math.h>
 #include <string.h>
