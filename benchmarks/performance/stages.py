@@ -33,8 +33,8 @@ STAGES = (
     Stage("locate", "sagnode.pipeline", "locate"),
     Stage("library", "sagnode.match.library", "draw_library", "locate"),
     Stage("search", "sagnode.estimate.even", "search", "locate"),
-    Stage("refine", "sagnode.estimate.matched", "observe", "locate"),
-    Stage("solve", "sagnode.estimate.matched", "solve", "locate"),
+    Stage("refine", "sagnode.estimate.refinement", "observe", "locate"),
+    Stage("solve", "sagnode.estimate.refinement", "solve", "locate"),
     Stage("tell", "sagnode.pipeline", "tell"),
     Stage("judge", "sagnode.estimate.tell", "judge", "tell"),
 )

@@ -10,7 +10,8 @@ from sagnode.calibrate.files import save_intrinsics
 from sagnode.config.node import Measure
 from sagnode.estimate.even import find_even
 from sagnode.estimate.identity import tell_apart
-from sagnode.estimate.matched import Matched, survey_of
+from sagnode.estimate.matched import Matched
+from sagnode.estimate.refinement import survey_of
 from sagnode.estimate.register import Registered, register
 from sagnode.pipeline import load_site, measure_frame
 from sagnode.scene.presets import simple_scene

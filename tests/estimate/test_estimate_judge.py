@@ -14,15 +14,8 @@ from sagnode.config.load import load_span
 from sagnode.estimate.even import find_even
 from sagnode.estimate.joint import solve
 from sagnode.estimate.judge import judge
-from sagnode.estimate.matched import (
-    Matched,
-    completed,
-    is_wire,
-    looked_at,
-    share_standing_out,
-    survey_of,
-    visible_share,
-)
+from sagnode.estimate.matched import Matched, is_wire, looked_at, share_standing_out, visible_share
+from sagnode.estimate.refinement import completed, survey_of
 from sagnode.estimate.register import register
 from sagnode.estimate.tell import propagate
 from sagnode.match.sight import Sighting

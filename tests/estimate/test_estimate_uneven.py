@@ -13,8 +13,8 @@ from sagnode.config.load import load_span
 from sagnode.estimate.even import find_even
 from sagnode.estimate.evidence import single_loads, unevenness
 from sagnode.estimate.load import LOADS_U
-from sagnode.estimate.matched import survey_of
 from sagnode.estimate.offsets import curve_residual
+from sagnode.estimate.refinement import survey_of
 from sagnode.estimate.register import register
 from sagnode.measurement import ConductorMeasurement
 from sagnode.pipeline import load_site, measure_burst

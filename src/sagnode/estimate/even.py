@@ -8,7 +8,8 @@ from dataclasses import replace
 import numpy as np
 
 from sagnode.capture.port import GreyImage
-from sagnode.estimate.matched import STAGES, Matched, attachment_z, refine, remaining_stages, view_of
+from sagnode.estimate.matched import Matched, attachment_z
+from sagnode.estimate.refinement import STAGES, refine, remaining_stages, view_of
 from sagnode.estimate.register import Registered
 from sagnode.geometry.camera import FloatArray
 from sagnode.geometry.conductor import gravity_direction

@@ -9,7 +9,8 @@ import numpy as np
 
 from sagnode.capture.port import GreyImage
 from sagnode.estimate.even import find_apart, merit
-from sagnode.estimate.matched import Matched, survey_of
+from sagnode.estimate.matched import Matched
+from sagnode.estimate.refinement import survey_of
 from sagnode.estimate.register import Registered
 from sagnode.match.library import Shelf
 from sagnode.match.masks import near_another

@@ -204,15 +204,11 @@ def _solve(asked: _Question) -> Solution:
         correlated += finer_load_error(survey, asked.start, curve)
     diagonal = np.diag_indices_from(correlated)
     shared = correlated[diagonal]
-    expected = white + shared
     theta, converged, nowhere, inflation = asked.start.copy(), False, False, 1.0
     posterior = solve_scaled(known_free, target_free)[1]
     residual, jacobian = curve_terms(survey, theta, curve)
     for step_number in range(asked.iterations):
-        spread = max(1.4826 * median(np.abs(residual)), 1e-3) if step_number < 2 else 0.0
-        weight = robust_weights(residual**2 / (expected + spread**2), CAUCHY_CURVE)
-        noise = white / np.maximum(weight, 1e-6)
-        inflation = _inflation(residual, noise + shared, weight)
+        weight, noise, inflation = _weighted(residual, white, shared, begun=step_number >= 2)
         own = jacobian[:, free]
         together = correlated.copy()
         together[diagonal] += noise
@@ -266,8 +262,17 @@ def _misfit(
     return float(of_curve + theta @ known @ theta - 2 * target @ theta)
 
 
-def _inflation(residual: FloatArray, variance: FloatArray, weight: FloatArray) -> float:
-    """By how much the offsets scatter more than their covariance says: the Birge ratio squared, at least 1."""
+def _weighted(
+    residual: FloatArray, white: FloatArray, shared: FloatArray, *, begun: bool
+) -> tuple[FloatArray, FloatArray, float]:
+    """Robust weights (M,) of offsets, their own variance so weighted, px² (M,), and the inflation of all variances.
+
+    By the inflation the offsets scatter more than their covariance says: the Birge ratio squared, at least 1. Until
+    the estimate has ``begun`` to settle, what all are off by is no reason to leave one aside.
+    """
+    spread = 0.0 if begun else max(1.4826 * median(np.abs(residual)), 1e-3)
+    weight = robust_weights(residual**2 / (white + shared + spread**2), CAUCHY_CURVE)
+    noise = white / np.maximum(weight, 1e-6)
     effective = max(float(weight.sum()) - 4.0, 1.0)
-    chi2 = float(np.sum(weight * residual**2 / np.maximum(variance, 1e-12)))
-    return max(1.0, chi2 / effective)
+    chi2 = float(np.sum(weight * residual**2 / np.maximum(noise + shared, 1e-12)))
+    return weight, noise, max(1.0, chi2 / effective)

@@ -7,17 +7,8 @@ from dataclasses import dataclass, replace
 from sagnode.capture.port import GreyImage
 from sagnode.estimate.evidence import Unevenness, log_odds, single_loads, unevenness
 from sagnode.estimate.joint import solve
-from sagnode.estimate.matched import (
-    STAGES,
-    Matched,
-    is_wire,
-    looked_at,
-    refine,
-    share_standing_out,
-    support,
-    survey_of,
-    view_of,
-)
+from sagnode.estimate.matched import Matched, is_wire, looked_at, share_standing_out, support
+from sagnode.estimate.refinement import STAGES, refine, survey_of, view_of
 from sagnode.estimate.register import Registered
 from sagnode.estimate.swings import Explanation, expected_swing, explanation, uneven_probabilities
 from sagnode.geometry.camera import FloatArray

@@ -10,17 +10,8 @@ from sagnode.capture.port import GreyImage
 from sagnode.estimate.even import find_even
 from sagnode.estimate.identity import tell_apart
 from sagnode.estimate.load import settle_loads
-from sagnode.estimate.matched import (
-    STAGES,
-    Matched,
-    completed,
-    looked_at,
-    measured_share,
-    narrowed,
-    refine,
-    remaining_stages,
-    survey_of,
-)
+from sagnode.estimate.matched import Matched, looked_at, measured_share
+from sagnode.estimate.refinement import STAGES, completed, narrowed, refine, remaining_stages, survey_of
 from sagnode.estimate.register import Registered
 from sagnode.match.library import Shelf
 from sagnode.match.masks import runs_near
