@@ -141,18 +141,23 @@ def _run_once(
         if link is not None:
             link.start()
         notifier.ready(f"started; configuration {loaded.configuration_id}")
-        ending = Ending.STOPPED
-        try:
-            ending = Loop(parts).run()
-        finally:
-            if ending is Ending.STOPPED:
-                notifier.stopping()
-            worker.stop()
-            recorder.finish()
-            _leave(link, ending, watchdog, wording)
-            trust = machine.clock_trust()
-            showcase.show([], now=clock.now(), next_slot=None, gap_s=float("inf"), trust=trust, state=ending.value)
-        return ending
+        return _run_to_the_end(parts, notifier, wording)
+
+
+def _run_to_the_end(parts: Parts, notifier: notify.Notifier, wording: Wording) -> Ending:
+    """The loop, and what is to be finished after it however it ends."""
+    ending = Ending.STOPPED
+    try:
+        ending = Loop(parts).run()
+    finally:
+        if ending is Ending.STOPPED:
+            notifier.stopping()
+        parts.worker.stop()
+        parts.recorder.finish()
+        _leave(parts.link, ending, parts.watchdog, wording)
+        now, trust = parts.clock.now(), parts.machine.clock_trust()
+        parts.showcase.show([], now=now, next_slot=None, gap_s=float("inf"), trust=trust, state=ending.value)
+    return ending
 
 
 def _worker(loaded: LoadedNode, state_dir: Path, watchdog: notify.Watchdog, orders: Orders) -> Supervisor:
