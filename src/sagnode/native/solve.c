@@ -3,107 +3,12 @@
    with their distance along the curve, is what it is then: a first-order Markov process, whose states a scalar Kalman
    filter follows from one offset to the next. Its normalised innovations are the whitened rows. */
 #include "numbers.h"
-#include "steps.h"
+#include "terms.h"
 #include <stdlib.h>
 #include <string.h>
 
 /* What sagnode.estimate.joint hands over of constants and limits, in this order. */
 enum { LEAST_SHARED, SHARE, REACH_PX, CAUCHY, SETTLED, ANEW, SAG_LOW, SAG_HIGH, SWING_LOW, SWING_HIGH, SETTINGS };
-
-/* Camera and conductor as they are surveyed. */
-typedef struct {
-    camera at;
-    double near[3], far[3];
-    int free; /* how many of the unknowns are unknown: without terms of the load or with them */
-} survey;
-
-typedef struct {
-    Py_ssize_t count;
-    const double *t, *arc, *normal, *measured, *sigma;
-} offsets;
-
-static void conductor_at(const survey *of, const double *theta, conductor *out)
-{
-    double near[3], far[3];
-    for (int k = 0; k < 3; k++) {
-        near[k] = of->near[k] + theta[NEAR + k];
-        far[k] = of->far[k] + theta[FAR + k];
-    }
-    memset(&out->load, 0, sizeof out->load);
-    out->load.at = (char *)(theta + LOAD);
-    out->load.shape[0] = of->free > LOAD ? TERMS : 0;
-    out->load.step[0] = sizeof *theta;
-    hang(out, near, far, theta[SAG], theta[SWING]);
-}
-
-/* How a conductor's direction of gravity turns with its chord, and where its points go when it swings. */
-static void turning(const conductor *of, double swing, double turn[9], double aside[3])
-{
-    const double *c = of->chord;
-    double length = sqrt(c[0] * c[0] + c[1] * c[1] + c[2] * c[2]), unit[3], raw[9], project[9];
-    double cosine = cos(swing) - 1, sine = sin(swing), along = 0.0;
-    for (int k = 0; k < 3; k++)
-        unit[k] = c[k] / length;
-    for (int k = 0; k < 9; k++) {
-        int i = k / 3, j = k % 3;
-        double same = i == j ? 1.0 : 0.0, down = j == 2 ? -1.0 : 0.0;
-        raw[k] = cosine * (unit[2] * same - unit[i] * down);
-        project[k] = (same - unit[i] * unit[j]) / length;
-    }
-    raw[1] += sine;
-    raw[3] -= sine;
-    for (int i = 0; i < 3; i++)
-        for (int j = 0; j < 3; j++)
-            turn[3 * i + j] =
-                raw[3 * i] * project[j] + raw[3 * i + 1] * project[3 + j] + raw[3 * i + 2] * project[6 + j];
-    gravity(c, swing + 0.5 * PI, aside);
-    for (int k = 0; k < 3; k++)
-        along += aside[k] * unit[k];
-    for (int k = 0; k < 3; k++)
-        aside[k] -= along * unit[k];
-}
-
-static double across(const offsets *seen, Py_ssize_t k, const double pixel[2])
-{
-    const double *measured = seen->measured + 2 * k, *normal = seen->normal + 2 * k;
-    return (measured[0] - pixel[0]) * normal[0] + (measured[1] - pixel[1]) * normal[1];
-}
-
-/* Residuals of the offsets and, if wanted, the curve's derivatives there (count, SIZE). */
-static void terms(const survey *of, const double *theta, const offsets *seen, double *residual, double *jacobian)
-{
-    camera at;
-    conductor wire;
-    double turn[9], aside[3];
-    camera_at(&of->at, theta, &at);
-    conductor_at(of, theta, &wire);
-    turning(&wire, theta[SWING], turn, aside);
-    for (Py_ssize_t n = 0; n < seen->count; n++) {
-        double t = seen->t[n], place[3], pixel[2], by_place[3], turned[3], down = 0.0, swung = 0.0;
-        double even = even_depth(&wire, t), depth = even + wire.sag * uneven(&wire.load, t);
-        for (int k = 0; k < 3; k++)
-            place[k] = wire.near[k] + t * wire.chord[k] + depth * wire.down[k];
-        pictured(&at, place, pixel);
-        residual[n] = across(seen, n, pixel);
-        if (jacobian == NULL)
-            continue;
-        double *row = jacobian + n * SIZE, departure = even - wire.sag * 4 * t * (1 - t);
-        movement m = moves(&at, place);
-        slopes(&at, &m, seen->normal + 2 * n, by_place, row);
-        for (int k = 0; k < 3; k++) {
-            turned[k] = depth * (by_place[0] * turn[k] + by_place[1] * turn[3 + k] + by_place[2] * turn[6 + k]);
-            row[NEAR + k] = (1 - t) * by_place[k] - turned[k];
-            row[FAR + k] = t * by_place[k] + turned[k];
-            down += by_place[k] * wire.down[k];
-            swung += by_place[k] * aside[k];
-        }
-        row[SAG] = (depth + 2 * departure) / wire.sag * down;
-        row[SWING] = depth * swung;
-        shapes each = first_shape(t);
-        for (int k = 0; k < TERMS; k++)
-            row[LOAD + k] = wire.sag * down * next_shape(&each, k + 1);
-    }
-}
 
 /* NaN where any of the values is. */
 static double median_of_absolutes(const double *values, Py_ssize_t count, double *room)
@@ -260,64 +165,6 @@ static void settle(estimate *e, double *room)
     }
 }
 
-/* The first arguments of both functions: lens, rotation, position, near, far, theta, t, normal, measured. */
-enum { ASKED = 9 };
-
-static int ask(arrays *all, PyObject *const *words, int written, survey *of, array *theta, offsets *seen)
-{
-    array near, far, t, normal, measured;
-    if (take_camera(all, words, &of->at) < 0 || take(all, words[3], "near", 'd', 1, 0, 0, &near) < 0 ||
-        take(all, words[4], "far", 'd', 1, 0, 0, &far) < 0 ||
-        take(all, words[5], "theta", 'd', 1, 1, written, theta) < 0 || take(all, words[6], "t", 'd', 1, 1, 0, &t) < 0 ||
-        take(all, words[7], "normal", 'd', 2, 1, 0, &normal) < 0 ||
-        take(all, words[8], "measured", 'd', 2, 1, 0, &measured) < 0 ||
-        require(near.shape[0] == 3 && far.shape[0] == 3 && theta->shape[0] == SIZE,
-                "near, far or theta of a wrong size") < 0 ||
-        require(normal.shape[0] == t.shape[0] && normal.shape[1] == 2 && measured.shape[0] == t.shape[0] &&
-                    measured.shape[1] == 2,
-                "normal and measured do not fit t") < 0)
-        return -1;
-    for (int k = 0; k < 3; k++) {
-        of->near[k] = number(&near, k);
-        of->far[k] = number(&far, k);
-    }
-    *seen = (offsets){t.shape[0], (const double *)t.at, NULL, (const double *)normal.at, (const double *)measured.at,
-                      NULL};
-    return 0;
-}
-
-/* How many are unknown, from an argument: all, or all but the terms of the load. */
-static int take_free(PyObject *object, int *out)
-{
-    long free = PyLong_AsLong(object);
-    if (free == -1 && PyErr_Occurred())
-        return -1;
-    *out = (int)free;
-    return require(free == SIZE || free == LOAD, "free must be 18 or 28");
-}
-
-PyObject *curve_terms(PyObject *module, PyObject *const *words, Py_ssize_t count)
-{
-    arrays all = {0};
-    survey of;
-    offsets seen;
-    array theta, residual, jacobian;
-    (void)module;
-    if (require(count == ASKED + 3, "curve_terms takes twelve arguments") < 0)
-        return NULL;
-    if (ask(&all, words, 0, &of, &theta, &seen) < 0 || take_free(words[ASKED], &of.free) < 0 ||
-        take(&all, words[ASKED + 1], "residual", 'd', 1, 1, 1, &residual) < 0 ||
-        take(&all, words[ASKED + 2], "jacobian", 'd', 2, 1, 1, &jacobian) < 0 ||
-        require(residual.shape[0] == seen.count && jacobian.shape[0] == seen.count && jacobian.shape[1] == SIZE,
-                "residual and jacobian do not fit t") < 0) {
-        release(&all);
-        return NULL;
-    }
-    terms(&of, (const double *)theta.at, &seen, (double *)residual.at, (double *)jacobian.at);
-    release(&all);
-    Py_RETURN_NONE;
-}
-
 PyObject *solve(PyObject *module, PyObject *const *words, Py_ssize_t count)
 {
     arrays all = {0};
@@ -328,7 +175,7 @@ PyObject *solve(PyObject *module, PyObject *const *words, Py_ssize_t count)
     if (require(count == ASKED + 13, "solve takes 22 arguments") < 0)
         return NULL;
     PyObject *const *more = words + ASKED;
-    if (ask(&all, words, 1, &e.of, &theta, &e.seen) < 0 || take_free(more[0], &e.of.free) < 0 ||
+    if (take_offsets(&all, words, 1, &e.of, &theta, &e.seen) < 0 || take_free(more[0], &e.of.free) < 0 ||
         take(&all, more[1], "arc", 'd', 1, 1, 0, &arc) < 0 || take(&all, more[2], "sigma", 'd', 1, 1, 0, &sigma) < 0 ||
         take(&all, more[3], "known", 'd', 2, 1, 0, &known) < 0 ||
         take(&all, more[4], "target", 'd', 1, 1, 0, &target) < 0 ||
