@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import anywhere
 import draws
 from views import VIEWS
 from worlds import Group
@@ -54,6 +55,13 @@ GROUPS = (
         draws.frames(),
         paper=1,
     ),
+    Group(
+        "side-beside",
+        "the paper's 110 kV span from 80 m to its side, f = 800 px, two phases beside each other",
+        _V["side-beside"],
+        MANY,
+        draws.frames(),
+    ),
     Group("side200", "from the side, 200 m off, where the wires are 0.12 px wide", _V["side200"], 18, draws.frames()),
     # the conductor
     Group(
@@ -101,6 +109,31 @@ GROUPS = (
     # the camera
     Group("sway", "the camera moved by up to 30 px", _V["tower"], MANY, draws.frames(draws.moved(5.0, 30.0))),
     Group("knocked", "the camera moved by 30 to 150 px", _V["tower"], MANY, draws.frames(draws.moved(30.0, 150.0))),
+    # sites that nobody has designed for
+    Group(
+        "any-tower",
+        "any span, camera and lens, from the tower",
+        _V["field-tower"],
+        MANY,
+        draws.frames(),
+        anywhere.anywhere(anywhere.on_the_tower),
+    ),
+    Group(
+        "any-ground",
+        "any span, camera and lens, along the line from the ground",
+        _V["field-tower"],
+        MANY,
+        draws.frames(),
+        anywhere.anywhere(anywhere.on_the_ground),
+    ),
+    Group(
+        "any-side",
+        "any span, camera and lens, from the side",
+        _V["field-tower"],
+        MANY,
+        draws.frames(),
+        anywhere.anywhere(anywhere.aside),
+    ),
     # one frame and the next
     Group(
         "repeat-lab",
@@ -123,6 +156,29 @@ GROUPS = (
     Group("none-field", "negatives in the field, short lens", _V["field-tower"], 14, draws.negatives),
     Group("none-ground", "negatives from the ground", _V["ground"], 14, draws.negatives),
     Group("none-side", "negatives from the side", _V["side"], 20, draws.negatives),
+    Group(
+        "none-any-tower",
+        "negatives from any tower",
+        _V["field-tower"],
+        20,
+        draws.negatives,
+        anywhere.anywhere(anywhere.on_the_tower),
+    ),
+    Group(
+        "none-any-side",
+        "negatives from any side",
+        _V["field-tower"],
+        20,
+        draws.negatives,
+        anywhere.anywhere(anywhere.aside),
+    ),
+    Group(
+        "none-side-beside",
+        "negatives from the side, two phases beside each other",
+        _V["side-beside"],
+        20,
+        draws.negatives,
+    ),
     Group("none-lab", "negatives in the laboratory", _V["lab"], 20, draws.negatives),
     Group("none-lab45", "negatives in the laboratory at 45°", _V["lab45"], 20, draws.negatives),
 )

@@ -100,6 +100,17 @@ def _from_the_side(distance: float, lens: Intrinsics, elevation_deg: float) -> C
     return survey
 
 
+def _phases_beside(folder: Path) -> Span:
+    """The paper's 110 kV span from 80 m to its side and 2.5 m up, two of its phases beside each other."""
+    span, _ = preset("side200")
+    lens = Intrinsics(1456, 1088, 800.0, 800.0, 727.5, 543.5, (-0.04, 0.008, 0.0, 0.0, 0.0))
+    marks: dict[str, tuple[Point, float]] = {
+        mark.id: ((0.4 * mark.position[0], 134.85 + 0.55 * (mark.position[1] - 134.85), mark.position[2]), 0.03)
+        for mark in span.landmarks
+    }
+    return _seen_from(span, folder, lens, {"position": (80.0, 134.85, 2.5), "elevation_deg": 5.0}, marks)
+
+
 _WIDE = Intrinsics(1456, 1088, 540.0, 540.0, 727.5, 543.5, (-0.02, 0.002, 0.0, 0.0, 0.0))
 _DEMO_WORLD = World(landmark_kinds=LANDMARK_KINDS)
 _INDOORS = {"outdoors": False, "sway_px": 0.2}
@@ -115,6 +126,7 @@ VIEWS = {
         View("ground", _from_the_ground, replace(_DEMO_WORLD, opening=0.085)),
         View("side50", _from_the_side(50.0, _WIDE, 12.0), forest_m=(7.0, 20.0), forest_away_m=75.0),
         View("side", _from_file(SITES / "side/span.toml"), forest_m=(8.0, 22.0), forest_away_m=150.0),
+        View("side-beside", _phases_beside, forest_m=(8.0, 18.0), forest_away_m=130.0),
         View("side200", _from_preset("side200"), forest_m=(10.0, 20.0), forest_away_m=250.0),
     )
 }

@@ -108,6 +108,12 @@ def _not_this_conductor(conductor: SiteConductor, found: Matched, sag: Estimate)
     if found.rival > RIVAL_MAX:
         text = f"another curve lies on a wire {100 * found.rival:.0f} % as clear; which one is meant?"
         reasons.append(Reason(Cause.AMBIGUOUS, text))
+    if found.or_of:
+        text = (
+            f"conductor {found.or_of} may hang on this wire as well, and this one on another; from here nothing tells"
+            " them apart: let the camera see their attachments, or look from higher up or along the line"
+        )
+        reasons.append(Reason(Cause.AMBIGUOUS, text))
     contradiction = attachment_z(found)
     if contradiction > PRIOR_Z_MAX:
         text = (

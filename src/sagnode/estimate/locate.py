@@ -8,6 +8,7 @@ import numpy as np
 
 from sagnode.capture.port import GreyImage
 from sagnode.estimate.even import find_even
+from sagnode.estimate.exchange import exchangeable
 from sagnode.estimate.identity import tell_apart
 from sagnode.estimate.load import settle_loads
 from sagnode.estimate.matched import Matched, looked_at, measured_share
@@ -28,7 +29,8 @@ def locate(site: Site, image: GreyImage, registered: Registered, shelf: Shelf | 
     found on one wire, one of them is looked for beside it. Those that run
     close to another are refined once more with the others' curves masked, so that a neighbour cannot pull them, and
     all are completed. Then they are compared: their swings, and what is left over, say whether the load of any may be
-    uneven; what is followed under an uneven load is kept clear of the others likewise.
+    uneven; what is followed under an uneven load is kept clear of the others likewise. Last, those that could as well
+    be each other are marked.
 
     ``shelf`` holds the libraries that frames of the same burst have drawn before.
     """
@@ -50,7 +52,9 @@ def locate(site: Site, image: GreyImage, registered: Registered, shelf: Shelf | 
             found = None
         if found is not None:
             located[conductor.id] = found
-    return located
+    known = {c.id: alone[c.id] for c in site.conductors if not c.measured}
+    doubtful = exchangeable(site.conductors, registered, known | located)
+    return {name: replace(found, or_of=doubtful.get(name, "")) for name, found in located.items()}
 
 
 def _among_others(
