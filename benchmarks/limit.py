@@ -23,7 +23,7 @@ import cv2
 import numpy as np
 
 from sagnode.config.span import Conductor
-from sagnode.estimate.load import LOAD_U
+from sagnode.estimate.load_kinds import LOAD_U
 from sagnode.geometry.camera import FloatArray, inside, project, projection_derivatives
 from sagnode.geometry.conductor import load_shapes, sag_profile
 from sagnode.geometry.ground import GroundProfile

@@ -28,6 +28,23 @@ SIZE = 28
 
 
 @dataclass(frozen=True)
+class LoadPrior:
+    """What is known of an uneven load before looking, as a Gaussian in its terms."""
+
+    mean: FloatArray
+    """Of the solved terms (10,), relative to the mean load."""
+    covariance: FloatArray
+    """Theirs (10, 10)."""
+    finer: FloatArray
+    """Second moments (K, K) of the terms beyond those, which are not solved for."""
+
+    @cached_property
+    def information(self) -> FloatArray:
+        """Inverse of the covariance (10, 10)."""
+        return np.asarray(np.linalg.inv(self.covariance))
+
+
+@dataclass(frozen=True)
 class Survey:
     """What is known of camera and conductor before looking; every ``_u`` is a standard uncertainty."""
 
@@ -47,6 +64,8 @@ class Survey:
     """rad"""
     load_u: float = 0.0
     """Of each term of an uneven load, relative to the mean load; 0 takes the load for even."""
+    load_prior: LoadPrior | None = None
+    """What kind of load that is, where it is uneven; None where nothing is known but ``load_u``."""
     swing_mean: float = 0.0
     """Swing that is expected, rad: none, unless the other conductors of the span say so."""
 
@@ -67,7 +86,7 @@ class Survey:
         sigma[ATTACHMENTS] = self.attachment_u
         sigma[SAG] = 10 * (self.sag_range[1] - self.sag_range[0])
         sigma[SWING] = self.swing_u
-        sigma[LOAD] = self.load_u
+        sigma[LOAD] = self.load_u if self.load_prior is None else np.sqrt(np.diag(self.load_prior.covariance))
         # what is stated as exactly known still needs a positive variance
         return np.maximum(sigma, 1e-9)
 
@@ -76,7 +95,16 @@ class Survey:
         mean = np.zeros(SIZE)
         mean[SAG] = 0.5 * (self.sag_range[0] + self.sag_range[1])
         mean[SWING] = self.swing_mean
+        if self.load_prior is not None and self.load_u > 0:
+            mean[LOAD] = self.load_prior.mean
         return mean
+
+    def prior_information(self) -> FloatArray:
+        """Inverse covariance (28, 28) of θ."""
+        information = np.diag(1 / self.prior_sigma() ** 2)
+        if self.load_prior is not None and self.load_u > 0:
+            information[LOAD, LOAD] = self.load_prior.information
+        return information
 
     def unknowns(self) -> NDArray[np.intp]:
         """Which of θ are unknown at all: an even load has no terms."""

@@ -155,14 +155,25 @@ def _stretches() -> FloatArray:
 
 
 def log_odds(rich: Solution, rich_survey: Survey, simple: Solution, simple_survey: Survey) -> float:
-    """Logarithm of the odds of one explanation of the same offsets over a simpler one (Laplace's approximation)."""
+    """Logarithm of the odds of one explanation of the same offsets over a simpler one."""
+    return evidence(rich, rich_survey, rich.inflation) - evidence(simple, simple_survey, rich.inflation)
 
-    def half(solution: Solution, survey: Survey) -> float:
-        free = survey.unknowns()
-        white, correlated = solution.noise
-        _, spread = np.linalg.slogdet(np.diag(white) + correlated)
-        # how much of what was possible before looking is left after it: what freedom costs
-        left = np.linalg.slogdet(solution.covariance[np.ix_(free, free)] / np.outer(*2 * [survey.prior_sigma()[free]]))
-        return float(0.5 * left[1] - 0.5 * (solution.misfit / rich.inflation + spread))
 
-    return half(rich, rich_survey) - half(simple, simple_survey)
+def evidence(solution: Solution, survey: Survey, inflation: float) -> float:
+    """Logarithm of the evidence of offsets for an explanation (Laplace's approximation), up to what all of them share.
+
+    ``inflation`` is the factor by which the offsets scatter more than they say.
+    """
+    if solution.log_evidence is not None:
+        return solution.log_evidence
+    free = survey.unknowns()
+    white, correlated = solution.noise
+    _, spread = np.linalg.slogdet(np.diag(white) + correlated)
+    known, mean = survey.prior_information()[np.ix_(free, free)], survey.prior_mean()[free]
+    # how much of what was possible before looking is left after it: what freedom costs
+    scale = np.sqrt(np.diag(known))
+    _, before = np.linalg.slogdet(known / np.outer(scale, scale))
+    _, after = np.linalg.slogdet(solution.covariance[np.ix_(free, free)] * np.outer(scale, scale))
+    # the solution's misfit leaves out what depends on what was expected alone
+    misfit = solution.misfit + float(mean @ known @ mean)
+    return float(0.5 * (before + after) - 0.5 * (misfit / inflation + spread))

@@ -90,6 +90,10 @@ class Solution:
     camera: CameraKnowledge
     shared: FloatArray | None = None
     """Covariance (M, M) of what the offsets share, px², where an uneven load adds to what neighbours do."""
+    log_evidence: float | None = None
+    """Of the offsets for all loads together that this is the mean of; None for a single solution."""
+    likeliest: tuple[Survey, Solution] | None = None
+    """The likeliest of those loads, and the solution under it."""
 
     @cached_property
     def noise(self) -> tuple[FloatArray, FloatArray]:
@@ -102,11 +106,13 @@ class Solution:
 
         What offsets that are no wire's may do to the estimate comes on top of the covariance.
         """
-        posterior, sigma0 = self.covariance, survey.prior_sigma()
+        if self.likeliest is not None:
+            own, one = self.likeliest
+            return {**one.information(own), "which load": self.covariance - one.covariance}
+        posterior, known = self.covariance, survey.prior_information()
         pieces: dict[str, FloatArray] = {}
         for name, part in SOURCES.items():
-            columns = posterior[:, part] / sigma0[part]
-            pieces[name] = columns @ columns.T
+            pieces[name] = posterior[:, part] @ known[part, part] @ posterior[part]
         pieces["landmarks"] = posterior[:, CAMERA] @ self.camera.precision @ posterior[CAMERA]
         white, correlated = self.noise
         gain = posterior @ np.linalg.solve(np.diag(white) + correlated, self.jacobian).T / self.inflation
@@ -133,9 +139,9 @@ def solve(
     """
     free = survey.unknowns()
     sigma0 = survey.prior_sigma()
-    known = np.diag(1 / sigma0**2)
+    known = survey.prior_information()
+    target = known @ survey.prior_mean()
     known[CAMERA, CAMERA] += camera.precision
-    target = survey.prior_mean() / sigma0**2
     target[CAMERA] += camera.vector
     # a step farther than the prior allows is a sign of a wrong wire or a wrong survey: walk, don't jump. What hangs in
     # a plane through the camera shows hardly any sag, and its picture stays linear over short steps only

@@ -2,24 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from sagnode.capture.port import GreyImage
 from sagnode.estimate.evidence import Unevenness, log_odds, single_loads, unevenness
 from sagnode.estimate.joint import solve
+from sagnode.estimate.load_kinds import LOAD_U, any_single
 from sagnode.estimate.matched import Matched, is_wire, looked_at, share_standing_out, support
-from sagnode.estimate.refinement import STAGES, refine, survey_of, view_of
+from sagnode.estimate.refinement import STAGES, refine, survey_of, view_of, weighed
 from sagnode.estimate.register import Registered
+from sagnode.estimate.starts import starts
 from sagnode.estimate.swings import Explanation, expected_swing, explanation, uneven_probabilities
+from sagnode.estimate.weigh import settled
 from sagnode.geometry.camera import FloatArray
 from sagnode.match.library import draw_library
 from sagnode.match.search import Candidate, search
 from sagnode.site import SiteConductor
 from sagnode.survey import LOAD, SAG, SWING, Survey
 
-LOAD_U = 0.45
-"""Standard uncertainty of each term of an uneven load, where the picture asks for one: ice on half of the span with
-half of the conductor's own weight is a first term of 0.3, and a short piece of heavy ice reaches 0.6 in several."""
 LOADS_U = (0.1, LOAD_U)
 """The same for a light load and a heavy one: with these an even curve's residuals are asked whether there is one."""
 ASKED = 0.01
@@ -161,7 +162,7 @@ def _follow(image: GreyImage, registered: Registered, each: Doubt) -> Matched | 
     From the part of an even curve that lies on the wire the terms of the load follow it along, round by round; where
     there is no such part, curves are searched whose load rises or falls along the span.
     """
-    survey = replace(each.survey, load_u=LOAD_U)
+    survey = replace(each.survey, load_u=LOAD_U, load_prior=any_single())
     if each.even is not None:
         start = each.even.solution.theta
     else:
@@ -171,13 +172,35 @@ def _follow(image: GreyImage, registered: Registered, each: Doubt) -> Matched | 
             return None
         start = registered.theta.copy()
         start[SAG], start[SWING], start[LOAD.start] = best.sag, best.swing, tilt
-    return _grown(image, each.conductor, survey, registered, start)
+    grown = _grown(image, each.conductor, survey, registered, start)
+    return _gone_on(image, each, survey, registered, grown)
 
 
 def _grown(
     image: GreyImage, conductor: SiteConductor, survey: Survey, registered: Registered, start: FloatArray
 ) -> Matched | None:
     return refine(image, conductor, survey, registered, start, [], FOLLOWING * STAGES[:1] + STAGES[1:])
+
+
+def _gone_on(
+    image: GreyImage, each: Doubt, survey: Survey, registered: Registered, grown: Matched | None
+) -> Matched | None:
+    """Of a wire as it grew, and as it may go on from the clear part of it, what the picture shows most of."""
+    found = [grown]
+    if each.even is not None and each.strains:
+        seen = each.even.unaided or each.even
+        found += [
+            refine(image, each.conductor, survey, registered, start, [], STAGES[1:])
+            for start in starts(image, survey, seen, registered.camera, seen.solution.theta)
+        ]
+    best = _clearest(found)
+    return grown if best is None else weighed(image, each.conductor, registered, best)
+
+
+def _clearest(found: Sequence[Matched | None]) -> Matched | None:
+    """The one that the picture shows most of, of those that settled."""
+    good = [one for one in found if one is not None and one.solution.converged]
+    return max(good, key=lambda one: one.response, default=None)
 
 
 def _as_uneven(registered: Registered, each: Doubt, found: Matched | None) -> list[Explanation]:
@@ -187,7 +210,9 @@ def _as_uneven(registered: Registered, each: Doubt, found: Matched | None) -> li
     if each.even is None or not each.strains:
         return [explanation(0.0, *found.swing, each.swing_u)]
     # both explanations of the same offsets; an even load that sees little of the wire must not choose what to explain
-    simple = solve(each.survey, each.even.solution.theta, registered.camera, found.offsets, STAGES[-1].iterations)
+    steps = STAGES[-1].iterations
+    asked = (each.survey, each.even.solution.theta, registered.camera, found.offsets, steps)
+    simple = settled(*asked) or solve(*asked)
     odds = log_odds(found.solution, found.survey, simple, each.survey)
     by_following = explanation(odds, *found.swing, each.swing_u)
     return [by_following] if odds > 0 else [*each.as_uneven(), by_following]
@@ -198,9 +223,15 @@ def _refined(
 ) -> Matched | None:
     """The conductor under an uneven load with the swing that the others let expect."""
     swing, swing_u = expected
-    survey = replace(each.survey, load_u=LOAD_U, swing_mean=swing, swing_u=swing_u)
+    survey = replace(each.survey, load_u=LOAD_U, load_prior=any_single(), swing_mean=swing, swing_u=swing_u)
     start = found or each.even
-    refined = None if start is None else _grown(image, each.conductor, survey, registered, start.solution.theta)
+    refined = None
+    if start is not None:
+        theta = start.solution.theta
+        wide = _grown(image, each.conductor, survey, registered, theta)
+        # from a curve that is right already a wide look would go astray
+        near = refine(image, each.conductor, survey, registered, theta, [], STAGES[1:])
+        refined = _gone_on(image, each, survey, registered, _clearest([wide, near]) or wide)
     if refined is None:
         return each.even and replace(each.even, doubtful_load=True)
     # what rivalled the even curve is that much less of a rival to one that lies better on the wire

@@ -5,7 +5,7 @@ The unknowns θ (28,) are those of :mod:`sagnode.survey`; the frame is the site'
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -21,6 +21,11 @@ CORRELATED_PX = 0.03
 CORRELATED_SHARE = 0.7
 """The same, relative to an offset's own: what makes a block uncertain, texture behind it, reaches over to the next."""
 CORRELATION_LENGTH_PX = 60.0
+NEARBY = 1e-4
+"""Step along the span by which a curve's direction in the picture is told."""
+SLIDES, SLIDE_MAX, ENDS = 3, 0.05, 1e-3
+"""Steps by which offsets slide along a curve to where they are nearest to it, the longest of them, and how near to an
+attachment, all as shares of the span."""
 SHAPE = slice(10, 18)
 """Attachments, sag and swing among the unknowns."""
 FINEST_LOAD = 40
@@ -108,8 +113,33 @@ def finer_load_error(survey: Survey, theta: FloatArray, curve: CurveObservations
     down = np.einsum(
         "mi,mij,j->m", curve.normal, by_point, gravity_direction(shape.near, shape.far, float(theta[SWING]))
     )
-    moved = survey.load_u * float(theta[SAG]) * down * curve.finer_load_shapes
-    return np.asarray(moved.T @ moved)
+    moved = float(theta[SAG]) * down * curve.finer_load_shapes
+    if survey.load_prior is not None:
+        return np.asarray(moved.T @ survey.load_prior.finer @ moved)
+    return np.asarray(survey.load_u**2 * (moved.T @ moved))
+
+
+def slid(survey: Survey, theta: FloatArray, curve: CurveObservations) -> CurveObservations:
+    """The same offsets at the places of the curve at θ (28,) that they are nearest to, across it there."""
+    intrinsics, pose = survey.camera(theta)
+    shape = survey.shape(theta)
+
+    def here_and_along(t: FloatArray) -> tuple[FloatArray, FloatArray]:
+        both = shape.points(np.concatenate([t, t + NEARBY]))
+        here, ahead = np.split(project(intrinsics, pose, both)[0], 2)
+        return here, (ahead - here) / NEARBY
+
+    t = curve.t
+    for _ in range(SLIDES):
+        here, along = here_and_along(t)
+        step = np.sum((curve.measured - here) * along, axis=1) / np.maximum(np.sum(along**2, axis=1), 1e-9)
+        t = np.clip(t + np.clip(np.nan_to_num(step), -SLIDE_MAX, SLIDE_MAX), ENDS, 1 - ENDS)
+    _, along = here_and_along(t)
+    along /= np.maximum(np.hypot(*along.T), 1e-12)[:, None]
+    normal = np.column_stack([-along[:, 1], along[:, 0]])
+    normal *= np.where(np.sum(normal * curve.normal, axis=1) < 0, -1.0, 1.0)[:, None]
+    there = np.asarray(np.isfinite(normal).all(axis=1))
+    return replace(curve, t=np.where(there, t, curve.t), normal=np.where(there[:, None], normal, curve.normal))
 
 
 def words(survey: Survey, theta: FloatArray, curve: CurveObservations) -> tuple[Any, ...]:

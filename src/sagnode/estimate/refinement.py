@@ -11,6 +11,7 @@ from sagnode.estimate.joint import Solution, curve_uncertainty, solve
 from sagnode.estimate.matched import NOT_LOOKED_AT, Matched, measured_share, of_blocks
 from sagnode.estimate.offsets import CurveObservations
 from sagnode.estimate.register import Registered, moved_survey
+from sagnode.estimate.weigh import solve_loads
 from sagnode.geometry.camera import FloatArray
 from sagnode.match.refine import Observed, observe
 from sagnode.match.templates import SAMPLES, View
@@ -45,6 +46,8 @@ the share of usable blocks that leaves nothing to do."""
 FORETOLD_PX, FORETOLD_Z = 0.7, 3.0
 """How far aside a block is looked for: so many px, and so many standard uncertainties of the solved curve."""
 FORETOLD_MARGIN_PX = 1.5
+STILL_SHOWN = 0.9
+"""Share of the response of a curve under an uneven load that must be left when more of it is measured."""
 FORETOLD_SAMPLES = 60
 """Places along a curve where its uncertainty is worked out."""
 MAX_BLOCKS = 80
@@ -102,6 +105,18 @@ def refine(
     return Matched(survey, solution, view, curve, observed, offsets, response)
 
 
+def weighed(image: GreyImage, conductor: SiteConductor, registered: Registered, found: Matched) -> Matched:
+    """The same conductor under all the loads that explain what was seen of it, by their weights."""
+    start = found.solution.theta
+    solution = solve_loads(found.survey, start, registered.camera, found.offsets, STAGES[-1].iterations)
+    view = view_of(found.survey, conductor, solution.theta)
+    curve = trace(view, float(solution.theta[SAG]), float(solution.theta[SWING]))
+    if curve is None or not solution.converged:
+        return found
+    response = _mixed_response(image, curve)
+    return replace(found, solution=solution, view=view, track=curve, response=response, sighting=NOT_LOOKED_AT)
+
+
 def completed(
     image: GreyImage,
     conductor: SiteConductor,
@@ -119,7 +134,10 @@ def completed(
         if float(np.mean(found.observed.usable)) > FORETOLD_ENOUGH or not found.solution.converged:
             break
         again = _foretold(image, conductor, registered, found, others, block_px)
-        if again is not None and again.solution.converged and measured_share(again) > measured_share(found):
+        if again is None or not again.solution.converged or measured_share(again) <= measured_share(found):
+            continue
+        # an uneven load may bend away from the wire to please what is no wire's; an even one cannot
+        if not found.survey.load_u or again.response > STILL_SHOWN * found.response:
             found = again
     return found
 
@@ -169,7 +187,8 @@ def _foretold(
     if int(observed.usable.sum()) < 4:
         return None
     offsets = _offsets(observed, bent=found.survey.load_u > 0)
-    solution = solve(found.survey, theta, registered.camera, offsets, STAGES[-1].iterations)
+    solve_for = solve_loads if found.survey.load_u > 0 else solve
+    solution = solve_for(found.survey, theta, registered.camera, offsets, STAGES[-1].iterations)
     view = view_of(found.survey, conductor, solution.theta)
     curve = trace(view, float(solution.theta[SAG]), float(solution.theta[SWING]))
     if curve is None:

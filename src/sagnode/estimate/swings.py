@@ -22,6 +22,8 @@ SPREAD = (np.radians(0.3), 0.1)
 """Standard deviation of a conductor's swing about the common one: this angle, and this share of the common swing."""
 ICY_READINGS, ICED_THEN, WEIGHTED = 0.02, 0.9, 0.01
 """Share of readings under ice, share of the conductors that are unevenly iced then, and of those with a weight else."""
+ASTRAY = 0.1
+"""Chance that what one conductor says of its swing is wrong by more than it says."""
 GRID = np.linspace(-4.0, 4.0, 641)
 """Common swings that are tried, in standard uncertainties of the prior."""
 NONE, NEGLIGIBLE = -1e9, 25.0
@@ -78,7 +80,9 @@ def uneven_probabilities(
 def expected_swing(others: Sequence[Sequence[Explanation]], prior_u: float) -> tuple[float, float]:
     """Swing of a conductor, and its standard uncertainty, as the explanations of the others let it be expected, rad."""
     common = prior_u * GRID
-    weight = -0.5 * GRID**2 + sum((_log_likelihood(other, common, prior_u) for other in others), np.zeros(len(GRID)))
+    # one that was followed along something else says nothing of the wind, and must not drag the others there
+    told = [np.logaddexp(np.log1p(-ASTRAY) + _log_likelihood(o, common, prior_u), np.log(ASTRAY)) for o in others]
+    weight = -0.5 * GRID**2 + sum(told, np.zeros(len(GRID)))
     weight = np.exp(weight - weight.max())
     weight /= weight.sum()
     mean = float(weight @ common)

@@ -126,6 +126,11 @@ def propagate(
     for row, stem in enumerate(all_values):
         value = float(table[row, 0])
         parts = dict(zip(pieces, linear[:, row].tolist(), strict=True))
+        if parts.get("which load", 0.0) < 0:
+            # all loads together may leave a quantity surer than the likeliest alone
+            less = parts.pop("which load")
+            own = sum(parts.values())
+            parts = {name: part * max(own + less, 0.0) / own for name, part in parts.items()}
         parts["swing, second order"] = float(second[row])
         if stem in _GROUND_STEMS:
             parts["ground"] = site.ground.height_u**2
