@@ -24,14 +24,18 @@ ANY_SAG, FEW_SAGS = (1.0, 3.2), (1.75, 2.15)
 
 
 def from_the_side(
-    folder: Path, attachment_u: float, sags: dict[str, float], possible: tuple[float, float] = ANY_SAG
+    folder: Path,
+    attachment_u: float,
+    sags: dict[str, float],
+    possible: tuple[float, float] = ANY_SAG,
+    focal: float = 1500.0,
 ) -> list[FrameMeasurement]:
     """The middle of a span of 60 m, seen from 36 m to its side, two conductors 5 m behind each other.
 
     L2 is thinner, so that its wire is no rival of L1's by what it shows.
     """
     scene, _ = simple_scene(seed=3)
-    lens = Intrinsics(960, 540, 1500.0, 1500.0, 479.5, 269.5)
+    lens = Intrinsics(960, 540, focal, focal, 479.5, 269.5)
     file = folder / "camera.yaml"
     save_intrinsics(file, lens)
     view = {"position": (-36.0, 30.0, 2.0), "azimuth_deg": 90.0, "elevation_deg": 6.5, "intrinsics": file}
@@ -69,3 +73,11 @@ def test_both_are_told_where_the_survey_leaves_one_way(
     for m in from_the_side(tmp_path, attachment_u, SAGS, possible):
         assert m.validity is not Validity.INVALID, m.reasons
         assert abs(m.estimates["sag"].value - SAGS[m.conductor]) < 3 * m.estimates["sag"].u
+
+
+def test_wires_too_near_to_be_measured_apart_say_so(tmp_path: Path) -> None:
+    causes = set()
+    for m in from_the_side(tmp_path, SURE, SAGS, focal=700.0):
+        assert m.validity is Validity.INVALID
+        causes |= {r.cause for r in m.reasons if "all along" in r.text}
+    assert causes == {Cause.AMBIGUOUS}

@@ -73,6 +73,12 @@ def judge(
     """
     if found is None:
         return Validity.INVALID, [Reason(Cause.NO_CONDUCTOR, "no curve of this conductor lies on anything like a wire")]
+    if found.crowded:
+        text = (
+            "other wires run within a few pixels of this one all along, and nothing of it can be measured by itself: a"
+            " longer lens, or a camera that looks from higher up or along the line, draws them apart"
+        )
+        return Validity.INVALID, [Reason(Cause.AMBIGUOUS, text)]
     invalid = [
         *_not_a_wire(found),
         *_not_this_conductor(conductor, found, estimates["inplane_sag"]),

@@ -11,7 +11,7 @@ from sagnode.estimate.even import find_even
 from sagnode.estimate.exchange import exchangeable
 from sagnode.estimate.identity import tell_apart
 from sagnode.estimate.load import settle_loads
-from sagnode.estimate.matched import Matched, looked_at, measured_share
+from sagnode.estimate.matched import Matched, is_wire, looked_at, measured_share
 from sagnode.estimate.refinement import STAGES, completed, narrowed, refine, remaining_stages, survey_of
 from sagnode.estimate.register import Registered
 from sagnode.match.library import Shelf
@@ -49,11 +49,12 @@ def locate(site: Site, image: GreyImage, registered: Registered, shelf: Shelf | 
             found = _among_others(image, conductor, registered, together)
             found = found and looked_at(image, found)
         elif evens[conductor.id] is None:
-            found = None
+            found = replace(found, crowded=True) if found is not None and is_wire(found) else None
         if found is not None:
             located[conductor.id] = found
     known = {c.id: alone[c.id] for c in site.conductors if not c.measured}
-    doubtful = exchangeable(site.conductors, registered, known | located)
+    clear = {name: None if found.crowded else found for name, found in located.items()}
+    doubtful = exchangeable(site.conductors, registered, known | clear)
     return {name: replace(found, or_of=doubtful.get(name, "")) for name, found in located.items()}
 
 

@@ -55,6 +55,8 @@ class Matched:
     """How much of the way towards the other load the intervals reach, 0..1: less where that one is hardly likely."""
     doubtful_load: bool = False
     """The wire hangs unevenly by its misfit, and no uneven load was found that explains it better."""
+    crowded: bool = False
+    """On a wire, but others run so near it all along that nothing of it can be measured by itself."""
     or_of: str = ""
     """Another conductor that may as well hang on this wire, while this one hangs on its or on one not found."""
 
