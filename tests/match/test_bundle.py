@@ -11,9 +11,10 @@ from sagnode.geometry.camera import Intrinsics, Pose, rotation_from_angles
 from sagnode.match.bundle import lines
 from sagnode.match.kernels import wire_kernel
 from sagnode.match.localise import localise_beside
+from sagnode.match.masks import others_near
 from sagnode.match.ribbon import line_response, normals
 from sagnode.match.templates import View
-from sagnode.match.track import trace
+from sagnode.match.track import Track, trace
 
 Floats = NDArray[np.float64]
 
@@ -102,3 +103,16 @@ def test_sub_conductors_are_met_on_the_normals_of_the_centre_line() -> None:
         nearest = np.argmin(np.hypot(gap[..., 0], gap[..., 1]), axis=1)
         across = np.sum(gap[np.arange(len(met)), nearest] * member.normal[nearest], axis=1)
         assert np.abs(across).max() < 0.02
+
+
+@pytest.mark.parametrize(("aside_px", "near"), [(0.0, False), (7.0, True), (17.0, True), (20.0, False)])
+def test_another_wire_hides_a_bundle_only_beside_one_of_its_own(aside_px: float, near: bool) -> None:
+    # two sub-conductors 24 px apart, looked about 6 px to either side
+    along = np.arange(200.0)
+    pixels = np.stack([along, np.full(200, 100.0)], axis=1)
+    normal = np.tile([0.0, 1.0], (200, 1))
+    members = np.stack([np.full(200, -12.0), np.full(200, 12.0)])
+    track = Track(along / 199, pixels, normal, np.ones(200), along, members)
+    index = np.arange(20, 180, 20)
+    other = pixels + np.array([0.0, aside_px])
+    assert (others_near(track, index, [other], np.full(len(index), 6.0)) == near).all()

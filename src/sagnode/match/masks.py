@@ -25,18 +25,34 @@ def near_another(track: Track, other: Track, reach: float) -> NDArray[np.bool_]:
 def runs_near(track: Track, others: list[FloatArray], half_range: float) -> bool:
     """Whether any other polyline (K, 2) comes so close to a track that its blocks would be masked."""
     every = np.arange(0, len(track.t), 8, dtype=np.int64)
-    pixels, normal, reach = track.pixels[every], track.normal[every], reach_of(track, every, half_range)
-    return any(near(pixels, normal, other, reach).any() for other in others)
+    return bool(others_near(track, every, others, reach_of(track, half_range)).any())
 
 
-def reach_of(track: Track, index: NDArray[np.int64], half_range: float | FloatArray) -> FloatArray:
-    """Distance across the curve within which another wire disturbs a block at some samples (M,), px."""
-    outermost = np.max(np.abs(track.members[:, index]), axis=0)
-    return np.asarray(half_range + 3.0 + 0.5 * median(track.width) + outermost)
+def reach_of(track: Track, half_range: float | FloatArray) -> FloatArray:
+    """Distance across the curve within which another wire disturbs a block of a single wire, px."""
+    return np.asarray(half_range + 3.0 + 0.5 * median(track.width))
+
+
+def others_near(
+    track: Track, index: NDArray[np.int64], others: list[FloatArray], reach: FloatArray
+) -> NDArray[np.bool_]:
+    """Which samples (M,) of a track have another polyline (K, 2) within reach, px, of any of its own wires."""
+    pixels, normal = track.pixels[index], track.normal[index]
+    reach = np.broadcast_to(reach, index.shape)
+    masked = np.zeros(len(index), dtype=bool)
+    for aside in track.members[:, index]:
+        place = pixels + aside[:, None] * normal
+        for other in others:
+            masked |= near(place, normal, other, reach)
+    return masked
 
 
 def folds_back(track: Track, index: NDArray[np.int64], reach: FloatArray) -> NDArray[np.bool_]:
-    """Which samples (M,) have another stretch of the same curve within reach: its two halves seen along the line."""
+    """Which samples (M,) have another stretch of the same curve within reach: its two halves seen along the line.
+
+    A bundle reaches to its outermost wire.
+    """
+    reach = reach + np.max(np.abs(track.members[:, index]), axis=0)
     step = max(4, len(track.t) // MOST_COMPARED)
     if kernels is not None:
         masked = np.zeros(len(index), dtype=bool)

@@ -11,7 +11,7 @@ from sagnode.capture.port import GreyImage
 from sagnode.geometry.camera import FloatArray
 from sagnode.match.kernels import MARGIN_PX
 from sagnode.match.localise import localise_beside
-from sagnode.match.masks import folds_back, near, reach_of
+from sagnode.match.masks import folds_back, others_near, reach_of
 from sagnode.match.standing import stand_out, texture_sigma
 from sagnode.match.track import Track
 
@@ -93,10 +93,8 @@ def observe(
     index = np.clip(np.rint(blocks.index), 0, len(track.t) - 1).astype(np.int64)
     pixel, normal = track.pixels[index], track.normal[index]
     own_range = np.broadcast_to(np.asarray(half_range, dtype=np.float64), track.t.shape)[index]
-    reach = reach_of(track, index, own_range) + margin - MARGIN_PX
-    masked = folds_back(track, index, reach)
-    for other in others:
-        masked |= near(pixel, normal, other, reach)
+    reach = reach_of(track, own_range) + margin - MARGIN_PX
+    masked = folds_back(track, index, reach) | others_near(track, index, others, reach)
     stood = stand_out(blocks, beside, masked, own_range, widest, run)
     return Observed(
         track=track,
