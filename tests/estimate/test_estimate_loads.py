@@ -8,9 +8,10 @@ import pytest
 from sagnode.estimate.camera import NOTHING_KNOWN
 from sagnode.estimate.joint import solve
 from sagnode.estimate.load_kinds import LOAD_U, TERMS, any_single, kinds
-from sagnode.estimate.offsets import CurveObservations, curve_residual, slid
+from sagnode.estimate.offsets import FINEST_LOAD, CurveObservations, curve_residual, slid
 from sagnode.estimate.weigh import solve_loads
 from sagnode.geometry.camera import FloatArray, Intrinsics, Pose, project, rotation_from_angles
+from sagnode.geometry.conductor import finer_load_shapes
 from sagnode.geometry.single_load import single_load_terms
 from sagnode.scene.catenary import Load, PartialLoad, PointLoad, WireState, wire_points
 from sagnode.survey import LOAD, SAG, SWING, Survey
@@ -125,3 +126,9 @@ def test_a_curve_that_leads_behind_the_camera_is_no_solution() -> None:
     behind = replace(survey, pose=Pose(survey.pose.rotation, np.array([0.0, 60.0, 22.0])))
     assert not solve(behind, start_of(behind), NOTHING_KNOWN, seen, 12).converged
     assert not solve_loads(behind, start_of(behind), NOTHING_KNOWN, seen, 12).converged
+
+
+def test_shapes_of_finer_terms_are_kept_closely_enough() -> None:
+    t = np.concatenate([[0.0, 1.0], np.random.default_rng(2).uniform(0, 1, 200)])
+    at = CurveObservations(t, t, np.zeros((len(t), 2)), np.zeros((len(t), 2)), np.ones(len(t)))
+    np.testing.assert_allclose(at.finer_load_shapes, finer_load_shapes(t, TERMS + 1, FINEST_LOAD), atol=1e-6)

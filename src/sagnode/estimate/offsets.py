@@ -6,7 +6,7 @@ The unknowns θ (28,) are those of :mod:`sagnode.survey`; the frame is the site'
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cache, cached_property
 from typing import Any
 
 import numpy as np
@@ -21,6 +21,8 @@ CORRELATED_PX = 0.03
 CORRELATED_SHARE = 0.7
 """The same, relative to an offset's own: what makes a block uncertain, texture behind it, reaches over to the next."""
 CORRELATION_LENGTH_PX = 60.0
+FINER_STEPS = 2000
+"""Steps along the span at which their shapes are kept (they bend little between two)."""
 NEARBY = 1e-4
 """Step along the span by which a curve's direction in the picture is told."""
 SLIDES, SLIDE_MAX, ENDS = 3, 0.05, 1e-3
@@ -66,8 +68,18 @@ class CurveObservations:
 
     @cached_property
     def finer_load_shapes(self) -> FloatArray:
-        """The same of the terms that are too fine to be solved for (30, M)."""
-        return finer_load_shapes(self.t, LOAD.stop - LOAD.start + 1, FINEST_LOAD)
+        """The same of the terms that are too fine to be solved for (30, M), interpolated to within 1e-6."""
+        table = _finer_load_table()
+        place = np.clip(self.t, 0.0, 1.0) * FINER_STEPS
+        before = np.minimum(place.astype(np.intp), FINER_STEPS - 1)
+        share = place - before
+        return np.asarray(table[:, before] * (1 - share) + table[:, before + 1] * share)
+
+
+@cache
+def _finer_load_table() -> FloatArray:
+    """Shapes of the finer terms at equal steps along the span (30, FINER_STEPS + 1)."""
+    return finer_load_shapes(np.linspace(0.0, 1.0, FINER_STEPS + 1), LOAD.stop - LOAD.start + 1, FINEST_LOAD)
 
 
 def curve_residual(survey: Survey, theta: FloatArray, curve: CurveObservations) -> FloatArray:
