@@ -18,9 +18,9 @@ OVEREXPOSED_SHARE = 0.6
 """Share of saturated pixels above which wires are burnt away."""
 FLAT_DEVIATION = 2.5
 """Standard deviation of grey levels of a picture in which nothing is to be seen: covered lens, dense fog."""
-VISIBLE_MIN = 0.25
-VISIBLE_GOOD = 0.33
-"""Shares of the span that must be seen for a questionable and for a good reading."""
+VISIBLE_MIN = 0.33
+"""Share of the span that must be seen: with less, a weight or ice on the rest goes unnoticed, and few wires of which half
+could be seen are lost by that."""
 UNEVEN_VISIBLE_MIN = 0.5
 """The same under an uneven load: nobody knows how a wire goes on where it is not seen."""
 UNEVEN_LANDMARKS_MIN = 0.6
@@ -101,8 +101,7 @@ def _not_a_wire(found: Matched) -> list[Reason]:
         return [Reason(Cause.NO_CONDUCTOR, text)]
     visible = visible_share(found)
     # what is not seen hangs as what is seen only under an even load
-    even = VISIBLE_MIN if found.other is None else VISIBLE_GOOD
-    needed = UNEVEN_VISIBLE_MIN if found.survey.load_u else even
+    needed = UNEVEN_VISIBLE_MIN if found.survey.load_u else VISIBLE_MIN
     if visible < needed:
         text = f"only {100 * visible:.0f} % of the span is visible (needs {100 * needed:g} %)"
         return [Reason(Cause.TOO_LITTLE_VISIBLE, text), *_ice(found)]
@@ -175,10 +174,6 @@ def _doubts(site: Site, found: Matched) -> list[Reason]:
     if site.patches is None and site.landmark_ids:
         text = "no reference picture, so nobody sees whether the camera has moved; set camera.reference_image"
         reasons.append(Reason(Cause.LANDMARKS_LOST, text))
-    visible = visible_share(found)
-    if visible < VISIBLE_GOOD:
-        text = f"only {100 * visible:.0f} % of the span is visible (good from {100 * VISIBLE_GOOD:g} %)"
-        reasons.append(Reason(Cause.TOO_LITTLE_VISIBLE, text))
     reasons += _ice(found)
     swing, swing_u = found.swing
     if abs(swing) - 2 * swing_u > site.swing_questionable:

@@ -120,8 +120,7 @@ def settle_loads(
         (each.as_even(), _as_uneven(registered, each, found)) for each, found in zip(doubts, followed, strict=True)
     ]
     probable = _probable(explained, doubts)
-    # what is hardly seen on its even curve may have been followed onto anything: that says nothing of the others
-    iced = any(p > SURELY and not each.hardly_seen() for p, each in zip(probable, doubts, strict=True))
+    iced = max(probable) > SURELY
     uneven = [p > ASKED or iced for p in probable]
     # what a light load would let the others expect holds for no heavy one, which the last explanation is
     believed = [pair[1][-1:] if other else pair[0] for pair, other in zip(explained, uneven, strict=True)]
