@@ -19,8 +19,8 @@ OVEREXPOSED_SHARE = 0.6
 FLAT_DEVIATION = 2.5
 """Standard deviation of grey levels of a picture in which nothing is to be seen: covered lens, dense fog."""
 VISIBLE_MIN = 0.33
-"""Share of the span that must be seen: with less, a weight or ice on the rest goes unnoticed, and few wires of which half
-could be seen are lost by that."""
+"""Share of the span that must be seen: with less, a weight or ice on the rest goes unnoticed, and few wires of which
+half could be seen are lost by that."""
 UNEVEN_VISIBLE_MIN = 0.5
 """The same under an uneven load: nobody knows how a wire goes on where it is not seen."""
 UNEVEN_LANDMARKS_MIN = 0.6
