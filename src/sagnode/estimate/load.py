@@ -108,14 +108,15 @@ def settle_loads(
 ) -> list[Matched | None]:
     """Every measured conductor of a span under the load that its picture and the others' swings leave it.
 
-    An even load is the rule, and where nothing speaks against it nothing more is done. Else every wire is followed
-    under an uneven one too; which of them may be uneven is decided for all together, and those are refined once more
-    with the swing that the others let expect.
+    An even load is the rule, and where nothing speaks against it nothing more is done. What is suspected is followed
+    under an uneven one too; which of the wires may be uneven is decided for all together, and those are refined once
+    more with the swing that the others let expect.
     """
     doubts = [doubt(conductor, registered, even) for conductor, even in evens]
-    if not any(_suspect(doubts)):
+    suspects = _suspect(doubts)
+    if not any(suspects):
         return [even for _, even in evens]
-    followed = [_follow(image, registered, each) for each in doubts]
+    followed = [_follow(image, registered, each) if it else None for each, it in zip(doubts, suspects, strict=True)]
     explained = [
         (each.as_even(), _as_uneven(registered, each, found)) for each, found in zip(doubts, followed, strict=True)
     ]
