@@ -304,7 +304,7 @@ NEGATIVES = {
     "one missing": "the first measured conductor is not there, its neighbours are",
     "covered": "a hand over the lens",
     "fogged": "the lens is fogged",
-    "dense fog": "one sees 20 m far",
+    "dense fog": "one sees 26 m far, and no more than a tenth of the span",
     "night": "sun 30° below the horizon",
     "turned away": "the camera looks 25° elsewhere",
 }
@@ -331,7 +331,8 @@ def _negative(kind: str, setting: Setting, shot: Shot) -> Shot:
     elif kind in ("covered", "fogged"):
         moment = replace(moment, lens="covered" if kind == "covered" else "fogged")
     elif kind == "dense fog":
-        moment = replace(moment, fog_per_m=0.15)
+        # a sight of 3.9 over the extinction
+        moment = replace(moment, fog_per_m=max(0.15, 39.0 / SpanFrame.of(setting.survey).length))
     elif kind == "night":
         moment = replace(moment, sun_elevation_deg=-30.0)
     else:
