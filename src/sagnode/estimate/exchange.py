@@ -14,7 +14,7 @@ from itertools import permutations
 import numpy as np
 from numpy.typing import NDArray
 
-from sagnode.estimate.joint import Solution, solve
+from sagnode.estimate.joint import solve
 from sagnode.estimate.matched import Matched, is_wire
 from sagnode.estimate.offsets import CurveObservations
 from sagnode.estimate.refinement import survey_of, view_of
@@ -82,18 +82,15 @@ def _misfit_on(conductor: SiteConductor, registered: Registered, wire: Matched) 
     theta[SAG], theta[SWING] = np.clip(wire.solution.theta[SAG], *survey.sag_range), wire.solution.theta[SWING]
     if not _approach(conductor, survey, theta, wire.offsets):
         return np.inf
-    solution: Solution | None = None
+    misfit, u = np.inf, 0.0
     for _ in range(ROUNDS):
-        track = _track(conductor, survey, theta)
+        track = trace(view_of(survey, conductor, theta), float(theta[SAG]), float(theta[SWING]))
         if track is None:
             return np.inf
-        offsets = _offsets_from(track, wire.offsets)
-        solution = solve(survey, theta, registered.camera, offsets, ITERATIONS)
-        theta = solution.theta
+        solution = solve(survey, theta, registered.camera, _offsets_from(track, wire.offsets), ITERATIONS)
+        theta, misfit, u = solution.theta, solution.misfit, float(np.sqrt(solution.covariance[SAG, SAG]))
     low, high = survey.sag_range
-    u = float(np.sqrt(solution.covariance[SAG, SAG])) if solution is not None else 0.0
-    possible = solution is not None and low - 3 * u <= theta[SAG] <= high + 3 * u
-    return solution.misfit if solution is not None and possible else np.inf
+    return misfit if low - 3 * u <= theta[SAG] <= high + 3 * u else np.inf
 
 
 def _approach(conductor: SiteConductor, survey: Survey, theta: FloatArray, wire: CurveObservations) -> bool:
@@ -134,10 +131,6 @@ def _aside(view: View, sag: float, swing: float, points: FloatArray, normal: Flo
     share = before / np.where(before == after, 1.0, before - after)
     aside = (1 - share) * across[rows, first] + share * across[rows, first + 1]
     return np.where(np.isfinite(crossing[rows, first]), aside, np.nan)
-
-
-def _track(conductor: SiteConductor, survey: Survey, theta: FloatArray) -> Track | None:
-    return trace(view_of(survey, conductor, theta), float(theta[SAG]), float(theta[SWING]))
 
 
 def _nearest(track: Track, points: FloatArray) -> NDArray[np.intp]:

@@ -26,11 +26,10 @@ def locate(site: Site, image: GreyImage, registered: Registered, shelf: Shelf | 
     """Find the measured conductors of a span, by id.
 
     Every conductor, those that are only known about included, is first found alone under an even load. Where two were
-    found on one wire, one of them is looked for beside it. Those that run
-    close to another are refined once more with the others' curves masked, so that a neighbour cannot pull them, and
-    all are completed. Then they are compared: their swings, and what is left over, say whether the load of any may be
-    uneven; what is followed under an uneven load is kept clear of the others likewise. Last, those that could as well
-    be each other are marked.
+    found on one wire, one of them is looked for beside it. Those that run close to another are refined once more with
+    the others' curves masked, so that a neighbour cannot pull them, and all are completed. Then they are compared:
+    their swings, and what is left over, say whether the load of any may be uneven; what is followed under an uneven
+    load is kept clear of the others likewise. Last, those that could as well be each other are marked.
 
     ``shelf`` holds the libraries that frames of the same burst have drawn before.
     """
