@@ -1,7 +1,8 @@
 """The worker's own life: read the configuration, open the camera, then one line in, one burst measured, one line out.
 
-It never decides to give up on a reading's deadline or on memory: the daemon kills it. Whatever it cannot do it says
-with a :class:`sagnode.worker.protocol.Fault`; a fatal one is its last line.
+It never decides to give up on a reading's deadline or on memory: the daemon kills it. But a burst whose frames take
+long, as they do under ice, is measured only as far as its deadline allows. Whatever the worker cannot do it says with
+a :class:`sagnode.worker.protocol.Fault`; a fatal one is its last line.
 """
 
 from __future__ import annotations
@@ -35,6 +36,8 @@ if TYPE_CHECKING:
 
 EXIT_FATAL = 70
 """After a fatal fault (sysexits.h: internal software error)."""
+MEASURING_SHARE = 0.7
+"""Share of a reading's deadline by which the last frame of a burst should be measured; the rest is for drawing."""
 
 
 def main(argv: list[str]) -> int:
@@ -171,27 +174,50 @@ def _send(replies: IO[bytes], line: WorkerLine) -> None:
     replies.flush()
 
 
-class _Burst:
-    """Hands a burst's pictures on one by one, and holds no more of them than the first, whose time is the reading's."""
+class Burst:
+    """Hands a burst's pictures on one by one, and holds no more of them than the first, whose time is the reading's.
 
-    def __init__(self, frames: Iterator[Frame]) -> None:
+    Where measuring one more, as long as the slowest took, would last beyond ``deadline_s`` from the start, it is not
+    handed on: a reading of fewer frames is worth more than none. The frames that are left are let go.
+    """
+
+    def __init__(self, frames: Iterator[Frame], deadline_s: float) -> None:
         self._frames = frames
+        self._deadline_s = deadline_s
         self._waited_s = 0.0
         self._started = time.monotonic()
         self.first = self._next()
 
     def __iter__(self) -> Iterator[GreyImage]:
-        """Every picture once."""
+        """Every picture once, as far as there is time."""
+        began = time.monotonic()
         yield self.first.image
+        slowest, measured = time.monotonic() - began, 1
         while True:
-            try:
-                yield self._next().image
-            except StopIteration:
+            frame = self._next_or_none()
+            if frame is None:
                 return
+            began = time.monotonic()
+            if began + slowest > self._started + self._deadline_s:
+                break
+            yield frame.image
+            # not held while the next one is read
+            del frame
+            slowest, measured = max(slowest, time.monotonic() - began), measured + 1
+        text = f"burst cut short after {measured} frames: one takes {slowest:.1f} s; see schedule.deadline_s"
+        print(text, file=sys.stderr)
+        while frame is not None:
+            frame = self._next_or_none()
 
     def elapsed_s(self) -> float:
         """Time since the first frame was asked for, without that of waiting for frames."""
         return time.monotonic() - self._started - self._waited_s
+
+    def _next_or_none(self) -> Frame | None:
+        try:
+            return self._next()
+        except StopIteration:
+            return None
 
     def _next(self) -> Frame:
         """Raises FrameError, and StopIteration after the last."""
@@ -208,7 +234,8 @@ def _measure(request: MeasureRequest, task: _Task) -> tuple[MeasureReply, Frame]
     from sagnode.pipeline import measure_burst
 
     camera, site, source, album = task.loaded.node.camera, task.site, task.source, task.album
-    burst = _Burst(source.frames(camera.burst, camera.burst_interval_s))
+    deadline_s = MEASURING_SHARE * task.loaded.node.schedule.deadline_s
+    burst = Burst(source.frames(camera.burst, camera.burst_interval_s), deadline_s)
     measurements = measure_burst(site, burst, album.kept if album else ())
     lens = lens_of(site, burst.first.image)
     elapsed = burst.elapsed_s()
