@@ -6,12 +6,14 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from solving import question
 
 from sagnode.calibrate.files import save_intrinsics
 from sagnode.capture.images import read_grey
 from sagnode.config.load import load_span
 from sagnode.estimate.even import find_even
 from sagnode.estimate.evidence import single_loads, unevenness
+from sagnode.estimate.joint import solve
 from sagnode.estimate.load import LOADS_U
 from sagnode.estimate.offsets import curve_residual
 from sagnode.estimate.refinement import survey_of
@@ -25,6 +27,7 @@ from sagnode.scene.render import render
 from sagnode.scene.site import demo_site, site_directory
 from sagnode.scene.spec import Moment
 from sagnode.scene.truth import read_truth
+from sagnode.survey import LOAD
 
 
 def measured(tmp_path: Path, *loads: Load) -> tuple[ConductorMeasurement, float, float]:
@@ -165,3 +168,32 @@ def test_what_an_even_wire_leaves_over_does_not_hang_on_the_last_bit_of_settling
         for before, after in zip(settled, moved, strict=True):
             assert after.log_odds == pytest.approx(before.log_odds, abs=0.1)
             assert after.swing[0] == pytest.approx(before.swing[0], abs=0.05 * before.swing[1])
+
+
+@pytest.mark.parametrize("sharper", [1.0, 8.0])
+def test_what_a_bare_wire_leaves_over_is_no_surprise_however_sharp_the_view(sharper: float) -> None:
+    """Offsets that err as they say, about a conductor drawn from its survey: a light load takes off what is usual."""
+    survey, start, camera, curve = question(2, "perfect", count=40)
+    curve = replace(curve, arc=np.sort(curve.arc), sigma=np.full(40, 0.05 / sharper))
+    solution = solve(survey, start, replace(camera, vector=0 * camera.vector), curve)
+    solution = replace(solution, theta=survey.prior_mean(), white=curve.sigma**2, inflation=1.0)
+    free = survey.unknowns()
+    known = np.diag(1 / survey.prior_sigma()[free] ** 2)
+    known[:10, :10] += camera.precision
+    white, correlated = solution.noise
+    noise = np.linalg.cholesky(np.diag(white) + correlated)
+    apart = np.linalg.cholesky(np.linalg.inv(known))
+    rng = np.random.default_rng(5)
+    draws = [
+        noise @ rng.standard_normal(40) + solution.jacobian[:, free] @ (apart @ rng.standard_normal(len(free)))
+        for _ in range(600)
+    ]
+    asked = [unevenness(replace(solution, residual=one), survey, LOADS_U)[0] for one in draws]
+    surprise = np.array([one.surprise for one in asked])
+    assert np.mean(surprise) == pytest.approx(0.0, abs=0.15)
+    assert np.std(surprise) == pytest.approx(1.0, abs=0.15)
+    assert np.mean(surprise > 3.0) < 0.01
+    # and a load that is there is one
+    uneven = solution.jacobian[:, LOAD] @ np.array([0.0, 0.3, *[0.0] * 8])
+    (loaded, _) = unevenness(replace(solution, residual=draws[0] + uneven), survey, LOADS_U)
+    assert loaded.surprise > 5.0

@@ -29,14 +29,16 @@ class Unevenness:
     """What an even solution's residuals say about an uneven load.
 
     Attributes:
-        misfit: what the terms of the load would take off the misfit; evenly loaded wires rarely exceed 3.
+        misfit: what the terms of the load would take off the misfit.
         log_odds: logarithm of the odds of an uneven load over the even one.
         swing: what the swing would be then, and its standard uncertainty, rad.
+        surprise: how far such a misfit lies out for a bare wire, as that of a normal variable; 0 where nobody asked.
     """
 
     misfit: float
     log_odds: float
     swing: tuple[float, float]
+    surprise: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -95,8 +97,26 @@ def unevenness(solution: Solution, survey: Survey, load_us: Sequence[float]) -> 
         _, gained = np.linalg.slogdet(information * u**2)
         swing_u = float(np.sqrt(of.swing[1] + of.turn @ np.linalg.solve(information, of.turn)))
         swing = float(of.swing[0] - of.turn @ terms)
-        explanations.append(Unevenness(misfit, 0.5 * (misfit - float(gained)), (swing, swing_u)))
+        odds = 0.5 * (misfit - float(gained))
+        explanations.append(Unevenness(misfit, odds, (swing, swing_u), _surprise(misfit, of.seen, information)))
     return explanations
+
+
+def _surprise(misfit: float, seen: FloatArray, information: FloatArray) -> float:
+    """How far out a misfit lies for a bare wire, whose offsets err as they say, as that of a normal variable.
+
+    What a bare wire's terms take off is a sum of squares, each as large as the picture speaks of it: the sharper the
+    view, the more of them there are. Its first two moments make it a χ² of fewer degrees of freedom (Satterthwaite),
+    and the cube root of that is nearly normal (Wilson and Hilferty).
+    """
+    share = np.linalg.solve(information, seen)
+    mean, squares = float(np.trace(share)), float(np.sum(share * share.T))
+    if mean <= 0 or squares <= 0:
+        return 0.0
+    freedom = mean**2 / squares
+    spread = 2 / (9 * freedom)
+    cube_root = float(np.cbrt(max(misfit, 0.0) / mean))
+    return (cube_root - (1 - spread)) / sqrt(spread)
 
 
 def single_loads(solution: Solution, survey: Survey, t: FloatArray) -> list[Unevenness]:

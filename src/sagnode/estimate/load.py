@@ -9,7 +9,7 @@ from sagnode.capture.port import GreyImage
 from sagnode.estimate.evidence import Unevenness, log_odds, single_loads, unevenness
 from sagnode.estimate.joint import solve
 from sagnode.estimate.load_kinds import LOAD_U, any_single
-from sagnode.estimate.matched import Matched, is_wire, looked_at, share_standing_out, support
+from sagnode.estimate.matched import Matched, is_wire, looked_at, measured_share, share_standing_out, support
 from sagnode.estimate.refinement import STAGES, refine, survey_of, view_of, weighed
 from sagnode.estimate.register import Registered
 from sagnode.estimate.starts import starts
@@ -34,8 +34,9 @@ SURELY = 0.5
 """Probability of one conductor's uneven load from which no other is taken for even: ice does not fall on one alone."""
 LIKELIER = 0.5
 """Probability from which the uneven load is told and the even one only held by the interval; below, the reverse."""
-DOUBTFUL = 9.0
-"""Misfit that a light uneven load would take off, from which an even one is not believed; bare wires rarely reach 5."""
+DOUBTFUL = 3.0
+"""Surprise at what a light uneven load would take off the misfit, in standard deviations, from which an even one is
+not believed."""
 ONE_STEP = 50.0
 """The same, beyond which one linear step from an even curve says nothing about the uneven one."""
 FOLLOWING = 4
@@ -80,8 +81,8 @@ class Doubt:
         return [explanation(each.log_odds, *each.swing, self.swing_u) for each in near]
 
     def is_strained(self) -> bool:
-        """Whether a light uneven load would take so much off the misfit that the even one is not believed."""
-        return any(each.misfit > DOUBTFUL for each in self.strains[:1])
+        """Whether a light uneven load would take more off the misfit than a bare wire leaves."""
+        return any(each.surprise > DOUBTFUL for each in self.strains[:1])
 
     def hardly_seen(self) -> bool:
         """Whether so little lies on the even curve that the wire may be elsewhere."""
@@ -117,6 +118,7 @@ def settle_loads(
     if not any(suspects):
         return [even for _, even in evens]
     followed = [_follow(image, registered, each) if it else None for each, it in zip(doubts, suspects, strict=True)]
+    followed = [None if _went_astray(each, found) else found for each, found in zip(doubts, followed, strict=True)]
     explained = [
         (each.as_even(), _as_uneven(registered, each, found)) for each, found in zip(doubts, followed, strict=True)
     ]
@@ -174,6 +176,13 @@ def _follow(image: GreyImage, registered: Registered, each: Doubt) -> Matched | 
         start[SAG], start[SWING], start[LOAD.start] = best.sag, best.swing, tilt
     grown = _grown(image, each.conductor, survey, registered, start)
     return _gone_on(image, each, survey, registered, grown)
+
+
+def _went_astray(each: Doubt, found: Matched | None) -> bool:
+    """Whether a wire was lost that the even curve lies on: free to bend, a curve can follow what is no wire's."""
+    if found is None or each.even is None or not each.strains:
+        return False
+    return measured_share(found) < measured_share(each.even) and found.response < each.even.response
 
 
 def _grown(

@@ -37,24 +37,32 @@ def locate(site: Site, image: GreyImage, registered: Registered, shelf: Shelf | 
     alone = tell_apart(image, site.conductors, registered, alone, shelf)
     measured = [c for c in site.conductors if c.measured]
     evens = {c.id: _among_others(image, c, registered, alone) for c in measured}
-    # one that only shows where a neighbour runs is not told, but it asks for no uneven load either
-    doubted = [(c, found and looked_at(image, found)) for c in measured for found in [evens[c.id] or alone[c.id]]]
-    settled = dict(zip(evens, settle_loads(image, registered, doubted), strict=True))
+    # one that only shows where a neighbour runs is not told, and says nothing of loads
+    crowded = {name for name, even in evens.items() if even is None and alone[name] is not None}
+    asked = [c for c in measured if c.id not in crowded]
+    doubted = [(c, found and looked_at(image, found)) for c in asked for found in [evens[c.id]]]
+    settled = dict(zip((c.id for c in asked), settle_loads(image, registered, doubted), strict=True))
     together = alone | settled
     located: dict[str, Matched] = {}
     for conductor in measured:
-        found = settled[conductor.id]
-        if found is not None and found.survey.load_u:
+        found = together[conductor.id]
+        if found is not None and conductor.id in crowded:
+            found = looked_at(image, found)
+            found = replace(found, crowded=True) if is_wire(found) else None
+        elif found is not None and found.survey.load_u:
             found = _among_others(image, conductor, registered, together)
             found = found and looked_at(image, found)
-        elif evens[conductor.id] is None:
-            found = replace(found, crowded=True) if found is not None and is_wire(found) else None
         if found is not None:
             located[conductor.id] = found
     known = {c.id: alone[c.id] for c in site.conductors if not c.measured}
     clear = {name: None if found.crowded else found for name, found in located.items()}
     doubtful = exchangeable(site.conductors, registered, known | clear)
     return {name: replace(found, or_of=doubtful.get(name, "")) for name, found in located.items()}
+
+
+def _hidden(found: Matched) -> bool:
+    """Whether others hide most of a conductor."""
+    return float(np.mean(found.observed.masked)) > BESIDE
 
 
 def _among_others(
@@ -70,11 +78,11 @@ def _among_others(
     if runs_near(found.track, others, STAGES[-1].half_range_px):
         start, stages = found.solution.theta, remaining_stages(found)
         masked = refine(image, conductor, found.survey, registered, start, others, stages, found.track)
-        if masked is None or float(np.mean(masked.observed.masked)) > BESIDE:
+        if masked is None or _hidden(masked):
             narrow = narrowed(image, conductor, registered, found, others)
             if narrow is not None and (masked is None or measured_share(narrow) > measured_share(masked)):
                 masked = narrow
-        if masked is None:
+        if masked is None or (_hidden(masked) and not masked.solution.converged):
             return None
         clear = replace(
             masked,
