@@ -180,11 +180,13 @@ def _offsets(design: Design, theta: FloatArray, rng: np.random.Generator) -> Cur
     along = pixels(seen.t + 1e-5) - pixels(seen.t - 1e-5)
     along /= np.hypot(along[:, 0], along[:, 1])[:, None]
     normal = np.column_stack([-along[:, 1], along[:, 0]])
-    shared = np.linalg.cholesky(correlated_error(seen.arc, seen.sigma) + 1e-12 * np.eye(len(seen.arc)))
+    shared = np.linalg.cholesky(correlated_error(seen) + 1e-12 * np.eye(len(seen.arc)))
     noise = seen.sigma * rng.standard_normal(len(seen.t)) + shared @ rng.standard_normal(len(seen.t))
     measured = pixels(seen.t) + noise[:, None] * normal
     kept = np.isfinite(measured).all(axis=1)
-    return CurveObservations(seen.t[kept], seen.arc[kept], normal[kept], measured[kept], seen.sigma[kept])
+    sigma = seen.sigma[kept]
+    own = (seen.t[kept], seen.arc[kept], normal[kept], measured[kept], sigma)
+    return CurveObservations(*own, shared_px=seen.shared_px, shared_share=seen.shared_share)
 
 
 def compare(view: str, trials: Sequence[Trial]) -> list[Line]:

@@ -1,5 +1,7 @@
 """The compiled joint estimate against the one in NumPy, which says what it means."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from both_ways import in_numpy
@@ -12,6 +14,7 @@ from sagnode.estimate.joint import curve_uncertainty, solve
 from sagnode.estimate.offsets import CurveObservations, curve_terms, words
 from sagnode.geometry.camera import project
 from sagnode.native import kernels
+from sagnode.survey import SAG
 
 pytestmark = pytest.mark.skipif(kernels is None, reason="the extension was not built here")
 
@@ -85,6 +88,25 @@ def test_landmarks_that_do_not_fit_are_refused(place, other, words):
     asked[place] = other
     with pytest.raises(ValueError, match=words):
         kernels.solve_camera(*asked)
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.integers(0, 2**31).map(lambda k: 2 * k), st.floats(0.003, 0.3), st.floats(0.0, 2.0))
+def test_whatever_neighbours_share_the_estimate_is_that_of_numpy(seed, px, share):
+    survey, start, camera, usual = question(seed)
+    curve = replace(usual, shared_px=px, shared_share=share)
+    found, expected = solve(survey, start, camera, curve), in_numpy(lambda: solve(survey, start, camera, curve))
+    sigma = survey.prior_sigma()
+    np.testing.assert_allclose(found.theta / sigma, expected.theta / sigma, rtol=1e-8, atol=1e-6)
+    size = np.outer(sigma, sigma)
+    np.testing.assert_allclose(found.covariance / size, expected.covariance / size, atol=1e-6)
+
+
+def test_what_neighbours_share_is_asked_for():
+    survey, start, camera, curve = question(6, count=40)
+    curve = replace(curve, sigma=0.01 * curve.sigma)
+    u = [solve(survey, start, camera, replace(curve, shared_px=px)).covariance[SAG, SAG] for px in (0.003, 0.03, 0.3)]
+    assert u[0] < 0.9 * u[1] < 0.8 * u[2]
 
 
 def test_offsets_out_of_order_are_solved_all_the_same():

@@ -53,3 +53,43 @@ def question(seed, lens="pinhole", count=None):
     start[SAG] *= rng.uniform(0.9, 1.1)
     start[SWING] += rng.normal(0, 0.1)
     return survey, start, CameraKnowledge(rows.T @ rows, 0.1 * rows.T @ rng.normal(0, 1, 6)), curve
+
+
+def hanging(rng, shared_px, share=0.0, sigma=0.006, count=70):
+    """An even conductor seen along the line: survey, truth, and offsets about it whose neighbours share an error.
+
+    ``sigma`` is of the offsets by themselves; to it ``shared_px``, and ``share`` of it, are added that fall off along
+    the curve by e in 60 px.
+    """
+    near, far = np.array([0.0, 0.0, 20.0]), np.array([0.0, 250.0, 22.0])
+    pose = Pose(rotation_from_angles(0.0, -4.0, 0.0), np.array([2.0, -3.0, 16.0]))
+    survey = Survey(
+        LENSES["perfect"],
+        pose,
+        near,
+        far,
+        orientation_u=1e-4,
+        position_u=0.01,
+        focal_u_rel=5e-4,
+        principal_point_u=0.5,
+        distortion_u=1e-4,
+        attachment_u=0.02,
+        sag_range=(4.0, 9.0),
+        swing_u=0.1,
+    )
+    theta = survey.prior_mean()
+    theta[SAG], theta[SWING] = rng.uniform(5, 8), rng.normal(0, 0.05)
+    t = np.linspace(0.04, 0.9, 4001)
+    pixels = project(*survey.camera(theta), survey.shape(theta).points(t))[0]
+    along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(pixels, axis=0).T))])
+    arc = np.linspace(0.0, along[-1], count)
+    t = np.interp(arc, along, t)
+    here = project(*survey.camera(theta), survey.shape(theta).points(t))[0]
+    ahead = project(*survey.camera(theta), survey.shape(theta).points(t + 1e-5))[0] - here
+    normal = np.column_stack([-ahead[:, 1], ahead[:, 0]]) / np.hypot(*ahead.T)[:, None]
+    spread = np.hypot(shared_px, share * sigma) * np.ones(count)
+    apart = np.abs(arc[:, None] - arc)
+    root = np.linalg.cholesky(spread[:, None] * spread * np.exp(-apart / 60.0) + 1e-14 * np.eye(count))
+    error = sigma * rng.standard_normal(count) + root @ rng.standard_normal(count)
+    curve = CurveObservations(t, arc, normal, here + error[:, None] * normal, np.full(count, 1.0) * sigma)
+    return survey, theta, curve

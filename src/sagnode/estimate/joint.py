@@ -20,8 +20,6 @@ import numpy as np
 
 from sagnode.estimate.camera import CameraKnowledge
 from sagnode.estimate.offsets import (
-    CORRELATED_PX,
-    CORRELATED_SHARE,
     CORRELATION_LENGTH_PX,
     CurveObservations,
     correlated_error,
@@ -44,7 +42,7 @@ STRIDE = (0.1, np.radians(2.0))
 """Longest steps: of sag, as a share of its surveyed range, and of swing."""
 SWING_MAX = 1.4
 """Farthest swing that an estimate goes to, rad."""
-_SETTINGS = (CORRELATED_PX, CORRELATED_SHARE, CORRELATION_LENGTH_PX, CAUCHY_CURVE, SETTLED, ANEW)
+_SETTINGS = (CORRELATION_LENGTH_PX, CAUCHY_CURVE, SETTLED, ANEW)
 SOURCES = {
     "orientation prior": slice(0, 3),
     "camera position": slice(3, 6),
@@ -98,7 +96,7 @@ class Solution:
     @cached_property
     def noise(self) -> tuple[FloatArray, FloatArray]:
         """White (M,) and correlated (M, M) variances of the offsets as weighted, px²."""
-        shared = correlated_error(self.curve.arc, self.curve.sigma) if self.shared is None else self.shared
+        shared = correlated_error(self.curve) if self.shared is None else self.shared
         return self.white, shared
 
     def information(self, survey: Survey) -> dict[str, FloatArray]:
@@ -181,7 +179,8 @@ def _solve_compiled(compiled: ModuleType, asked: _Question) -> Solution:
     curve, theta = asked.curve, asked.start.astype(np.float64)
     along = (np.ascontiguousarray(part, dtype=np.float64) for part in (curve.arc, curve.sigma))
     own = (*words(asked.survey, theta, curve), len(asked.longest), *along)
-    own = (*own, asked.known, asked.target, asked.longest, np.array([*_SETTINGS, *asked.bounds]), asked.iterations)
+    settings = np.array([curve.shared_px, curve.shared_share, *_SETTINGS, *asked.bounds])
+    own = (*own, asked.known, asked.target, asked.longest, settings, asked.iterations)
     covariance, jacobian = np.empty((SIZE, SIZE)), np.empty((len(curve.t), SIZE))
     residual, weight, noise = np.empty((3, len(curve.t)))
     inflation, misfit, converged = compiled.solve(*own, covariance, residual, weight, noise, jacobian)
@@ -205,7 +204,7 @@ def _solve(asked: _Question) -> Solution:
     free = survey.unknowns()
     known_free, target_free = known[np.ix_(free, free)], target[free]
     sag_low, sag_high, swing_low, swing_high = asked.bounds
-    white, correlated = curve.sigma**2, correlated_error(curve.arc, curve.sigma)
+    white, correlated = curve.sigma**2, correlated_error(curve)
     if survey.load_u > 0:
         correlated += finer_load_error(survey, asked.start, curve)
     diagonal = np.diag_indices_from(correlated)

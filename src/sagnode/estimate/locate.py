@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from sagnode.capture.port import GreyImage
+from sagnode.estimate.conclude import conclude
 from sagnode.estimate.even import find_even
 from sagnode.estimate.exchange import exchangeable
 from sagnode.estimate.identity import tell_apart
@@ -29,7 +30,8 @@ def locate(site: Site, image: GreyImage, registered: Registered, shelf: Shelf | 
     found on one wire, one of them is looked for beside it. Those that run close to another are refined once more with
     the others' curves masked, so that a neighbour cannot pull them, and all are completed. Then they are compared:
     their swings, and what is left over, say whether the load of any may be uneven; what is followed under an uneven
-    load is kept clear of the others likewise. Last, those that could as well be each other are marked.
+    load is kept clear of the others likewise. Last, those that could as well be each other are marked, and what hangs
+    evenly is solved for once more with its offsets as uncertain as all that is known by then leaves them.
 
     ``shelf`` holds the libraries that frames of the same burst have drawn before.
     """
@@ -57,7 +59,8 @@ def locate(site: Site, image: GreyImage, registered: Registered, shelf: Shelf | 
     known = {c.id: alone[c.id] for c in site.conductors if not c.measured}
     clear = {name: None if found.crowded else found for name, found in located.items()}
     doubtful = exchangeable(site.conductors, registered, known | clear)
-    return {name: replace(found, or_of=doubtful.get(name, "")) for name, found in located.items()}
+    last = conclude(located, registered)
+    return {name: replace(found, or_of=doubtful.get(name, "")) for name, found in last.items()}
 
 
 def _hidden(found: Matched) -> bool:

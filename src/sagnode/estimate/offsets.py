@@ -47,6 +47,8 @@ class CurveObservations:
         sigma: white standard uncertainty of the offsets, px (M,).
         texture: standard deviation of what the chance that an offset is no wire's adds to the estimate's uncertainty,
             though it does not weigh in the estimate, px (M,); None where there is none beyond ``sigma``.
+        shared_px: least standard deviation of what neighbours share, px.
+        shared_share: the same, relative to an offset's own.
     """
 
     t: FloatArray
@@ -55,6 +57,8 @@ class CurveObservations:
     measured: FloatArray
     sigma: FloatArray
     texture: FloatArray | None = None
+    shared_px: float = CORRELATED_PX
+    shared_share: float = CORRELATED_SHARE
 
     @cached_property
     def load_shapes(self) -> FloatArray:
@@ -110,10 +114,10 @@ def curve_terms(survey: Survey, theta: FloatArray, curve: CurveObservations) -> 
     return residual, jacobian
 
 
-def correlated_error(arc: FloatArray, sigma: FloatArray) -> FloatArray:
-    """Covariance (M, M) of what offsets at ``arc`` (M,) along a curve share, px²; ``sigma`` (M,) is their own."""
-    distance = np.abs(arc[:, None] - arc[None, :])
-    shared = np.hypot(CORRELATED_PX, CORRELATED_SHARE * sigma)
+def correlated_error(curve: CurveObservations) -> FloatArray:
+    """Covariance (M, M) of what offsets share, px²."""
+    distance = np.abs(curve.arc[:, None] - curve.arc[None, :])
+    shared = np.hypot(curve.shared_px, curve.shared_share * curve.sigma)
     return np.asarray(shared[:, None] * shared * np.exp(-distance / CORRELATION_LENGTH_PX))
 
 

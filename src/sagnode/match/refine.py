@@ -12,7 +12,7 @@ from sagnode.geometry.camera import FloatArray
 from sagnode.match.kernels import MARGIN_PX
 from sagnode.match.localise import localise_beside
 from sagnode.match.masks import folds_back, others_near, reach_of
-from sagnode.match.standing import stand_out, texture_sigma
+from sagnode.match.standing import UNKNOWN_PX, stand_out, texture_sigma
 from sagnode.match.track import Track
 
 SHIFTS_PX = (16.0, -16.0, 23.0, -23.0, 31.0, -31.0, 11.0, -11.0)
@@ -33,6 +33,8 @@ class Observed:
         normal: unit normal there (M, 2).
         offset: of the wire along the normal, px (M,).
         sigma: standard uncertainty of the offset, px (M,): noise, and the chance that it is not the wire.
+        noise: the part of it that is noise alone, px (M,).
+        half_range: greatest offset looked for, px (M,).
         texture: standard deviation of what the chance that this very block found texture adds, px (M,).
         scatter: standard uncertainty by which its two halves contradict each other, px (M,).
         rank: share of shifted curves that look less like a wire here (M,), 0..1.
@@ -47,6 +49,8 @@ class Observed:
     normal: FloatArray
     offset: FloatArray
     sigma: FloatArray
+    noise: FloatArray
+    half_range: FloatArray
     texture: FloatArray
     scatter: FloatArray
     rank: FloatArray
@@ -104,6 +108,8 @@ def observe(
         normal=normal,
         offset=stood.offset,
         sigma=stood.sigma,
+        noise=np.nan_to_num(blocks.sigma, nan=UNKNOWN_PX),
+        half_range=own_range,
         texture=texture_sigma(blocks.snr, own_range),
         scatter=blocks.scatter,
         rank=stood.rank,

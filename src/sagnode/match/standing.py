@@ -88,8 +88,7 @@ def _false_peak_sigma(lead: FloatArray, half_range: FloatArray) -> FloatArray:
     A block that leads the background by nothing is as likely texture as wire, and texture's offset is anywhere within
     the range; the chance falls steeply with the lead.
     """
-    chance = 0.5 * np.maximum(lead, 1.0) ** -FALSE_PEAK_POWER
-    return np.asarray(half_range * np.sqrt(chance / 3.0))
+    return spread_by(0.5 * np.maximum(lead, 1.0) ** -FALSE_PEAK_POWER, half_range)
 
 
 def texture_sigma(snr: FloatArray, half_range: FloatArray) -> FloatArray:
@@ -97,8 +96,17 @@ def texture_sigma(snr: FloatArray, half_range: FloatArray) -> FloatArray:
 
     The stronger a peak, the rarer it is among texture's: by e for every TEXTURE_SNR of its signal-to-noise ratio.
     """
-    chance = np.minimum(0.5, np.exp((1.0 - snr) / TEXTURE_SNR))
+    return spread_by(np.minimum(0.5, np.exp((1.0 - snr) / TEXTURE_SNR)), half_range)
+
+
+def spread_by(chance: FloatArray, half_range: FloatArray) -> FloatArray:
+    """Standard deviation (M,), px, by a chance (M,) that an offset is anywhere within its range."""
     return np.asarray(half_range * np.sqrt(chance / 3.0))
+
+
+def chance_of(spread: FloatArray, half_range: FloatArray) -> FloatArray:
+    """The chance (M,) that causes such a standard deviation; at most a half, as before looking where the block lies."""
+    return np.asarray(np.minimum(3.0 * (spread / half_range) ** 2, 0.5))
 
 
 def _with_neighbours(snr: FloatArray) -> FloatArray:

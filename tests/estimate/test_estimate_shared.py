@@ -1,0 +1,90 @@
+"""What neighbouring offsets share is found from their residuals, and is what is usual where those say nothing."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from solving import hanging
+
+from sagnode.estimate.camera import NOTHING_KNOWN
+from sagnode.estimate.joint import solve
+from sagnode.estimate.offsets import CORRELATED_PX, CORRELATED_SHARE, correlated_error
+from sagnode.estimate.shared import GRID, LEVELS_PX, SHARES, evidence_of_sharing, shared_error
+from sagnode.survey import SAG
+
+
+def frame(seed, *asked, conductors=3, **words):
+    rng = np.random.default_rng(seed)
+    drawn = [hanging(rng, *asked, **words) for _ in range(conductors)]
+    return [(survey, solve(survey, theta, NOTHING_KNOWN, curve)) for survey, theta, curve in drawn]
+
+
+@pytest.mark.parametrize("shared_px", [0.015, 0.03, 0.06])
+def test_what_neighbours_share_is_found(shared_px):
+    found = [shared_error(frame(seed, shared_px))[0] for seed in range(8)]
+    assert np.median(found) == pytest.approx(shared_px, rel=0.3)
+    assert all(0.5 < one / shared_px < 2 for one in found)
+
+
+def test_less_than_any_lens_is_known_to_is_not_believed():
+    found = shared_error(frame(1, 0.001))[0]
+    assert LEVELS_PX[0] <= found < 1.3 * LEVELS_PX[0]
+
+
+def test_what_grows_with_an_offsets_own_uncertainty_is_found_beside_it():
+    mixed = np.where(np.arange(70) % 14 < 7, 0.02, 0.2)
+    little, much = (
+        np.median([shared_error(frame(seed, 0.01, share, mixed))[1] for seed in range(6)]) for share in (0.2, 1.0)
+    )
+    assert little < 0.4
+    assert much > 0.55
+
+
+def test_where_nothing_is_seen_it_is_what_is_usual():
+    px, share = shared_error([])
+    assert 0.7 < px / CORRELATED_PX < 1.6
+    assert 0.7 < share / CORRELATED_SHARE < 1.3
+    # offsets that are by far less certain than what they could share say nothing of it
+    hardly = shared_error(frame(2, 0.03, sigma=5.0, conductors=1, count=6))[0]
+    assert hardly == pytest.approx(px, rel=0.2)
+
+
+def test_an_estimate_that_did_not_settle_has_no_say():
+    survey, solution = frame(3, 0.1)[0]
+    assert shared_error([(survey, replace(solution, converged=False))]) == shared_error([])
+
+
+def test_the_evidence_is_that_of_the_offsets_covariance():
+    """Against the plain formula, in which covariances are matrices and the prior is one more observation."""
+    survey, solution = frame(4, 0.03, conductors=1, count=30)[0]
+    free, curve = survey.unknowns(), solution.curve
+    own = solution.jacobian[:, free]
+    prior = np.diag(survey.prior_sigma()[free] ** 2)
+    about = solution.residual + own @ (solution.theta - survey.prior_mean())[free]
+    expected = []
+    for px, share in GRID:
+        noise = correlated_error(replace(curve, shared_px=px, shared_share=share)) + np.diag(solution.white)
+        total = noise + own @ prior @ own.T
+        expected.append(-0.5 * (np.linalg.slogdet(total)[1] + about @ np.linalg.solve(total, about)))
+    found = evidence_of_sharing(survey, solution)
+    np.testing.assert_allclose(found - found[0], np.array(expected) - expected[0], atol=1e-4)
+    assert len(found) == len(LEVELS_PX) * len(SHARES)
+
+
+def test_what_is_found_makes_the_uncertainty_what_the_errors_are():
+    """Sag of many conductors under either shared error, each stated as uncertain as its own frame shows."""
+    for shared_px in (0.01, 0.06):
+        z, u = [], []
+        for seed in range(40):
+            rng = np.random.default_rng(100 + seed)
+            drawn = [hanging(rng, shared_px) for _ in range(2)]
+            solved = [solve(survey, theta, NOTHING_KNOWN, curve) for survey, theta, curve in drawn]
+            px, share = shared_error([(survey, one) for (survey, _, _), one in zip(drawn, solved, strict=True)])
+            for survey, theta, curve in drawn:
+                one = solve(survey, theta, NOTHING_KNOWN, replace(curve, shared_px=px, shared_share=share))
+                # what the prior holds was drawn exactly at its mean, and so is no part of the error
+                pieces = one.information(survey)
+                own = sum(pieces[name][SAG, SAG] for name in ("pixel noise", "correlated curve error"))
+                z.append((one.theta[SAG] - theta[SAG]) / np.sqrt(own))
+                u.append(np.sqrt(own))
+        assert 0.7 < np.sqrt(np.mean(np.square(z))) < 1.3, shared_px
