@@ -31,11 +31,15 @@ GROSS = 5.0
 
 @dataclass(frozen=True)
 class Errors:
-    """Errors (N,) of a conductor's offsets, px, where they are along the curve (N,), and what they state (N,)."""
+    """Errors (N,) of a conductor's offsets, px, where they are along the curve (N,), and what they state (N,).
+
+    And what neighbours are taken to share at least, px.
+    """
 
     error: FloatArray
     arc: FloatArray
     sigma: FloatArray
+    shared_px: float
 
 
 def errors_of(found: Matched, truth: FloatArray) -> Errors:
@@ -50,7 +54,7 @@ def errors_of(found: Matched, truth: FloatArray) -> Errors:
         if near.size:
             error[k] = -float(apart[near[np.argmin(along[near])]] @ normal)
     kept = np.isfinite(error)
-    return Errors(error[kept], offsets.arc[kept], offsets.sigma[kept])
+    return Errors(error[kept], offsets.arc[kept], offsets.sigma[kept], offsets.shared_px)
 
 
 def shared(some: list[Errors]) -> list[float]:
@@ -75,8 +79,8 @@ def main() -> int:
     options = parser.parse_args()
     cv2.setNumThreads(1)
     between = " | ".join(f"{low:g} to {high:g} px" for low, high in pairwise(LAGS_PX))
-    print(f"| group | offsets | stated, white | robust deviation | gross | shared at {between} |")
-    print("|---|---|---|---|---|" + "---|" * (len(LAGS_PX) - 1))
+    print(f"| group | offsets | stated, white | robust deviation | gross | taken to be shared | shared at {between} |")
+    print("|---|---|---|---|---|---|" + "---|" * (len(LAGS_PX) - 1))
     for name in options.groups.split(","):
         some = [e for look in looks(name, options.seed, options.worlds) for e in _errors(look)]
         if not some:
@@ -87,11 +91,11 @@ def main() -> int:
         roots = " | ".join(f"{np.sign(c) * np.sqrt(abs(c)):+.3f}" for c in shared(some))
         print(
             f"| {name} | {len(error)} | {np.median(sigma):.3f} | {1.4826 * np.median(np.abs(error)):.3f}"
-            f" | {100 * gross:.1f} % | {roots} |",
+            f" | {100 * gross:.1f} % | {np.median([e.shared_px for e in some]):.3f} | {roots} |",
             flush=True,
         )
-    print(f"\nShared errors as signed roots, px; the estimate takes {CORRELATED_PX:g} px, falling by e in", end="")
-    print(f" {CORRELATION_LENGTH_PX:g} px.")
+    usual = f"{CORRELATED_PX:g} px where a frame does not show what its own are"
+    print(f"\nShared errors as signed roots, px; taken for {usual}, falling by e in {CORRELATION_LENGTH_PX:g} px.")
     return 0
 
 

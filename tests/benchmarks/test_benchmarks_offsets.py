@@ -20,11 +20,13 @@ def test_errors_are_offsets_from_the_true_curve_along_the_normal() -> None:
         normal=np.tile([0.0, 1.0], (3, 1)),
         measured=measured,
         sigma=np.full(3, 0.1),
+        shared_px=0.02,
     )
     found = offsets.errors_of(SimpleNamespace(offsets=seen), truth)
     # the third lies beside the end of what is true
     assert found.error == pytest.approx([0.3, -0.2])
     assert found.arc == pytest.approx([20.0, 60.0])
+    assert found.shared_px == 0.02
 
 
 @pytest.mark.parametrize("together", [0.0, 0.08])
@@ -33,7 +35,7 @@ def test_what_neighbours_share_is_found(together: float) -> None:
     arc = np.arange(0.0, 800.0, 8.0)
     covariance = together**2 * np.exp(-np.abs(arc[:, None] - arc[None]) / 60.0) + 0.05**2 * np.eye(len(arc))
     draws = np.linalg.cholesky(covariance) @ rng.standard_normal((len(arc), 400))
-    some = [offsets.Errors(one, arc, np.full(len(arc), 0.05)) for one in draws.T]
+    some = [offsets.Errors(one, arc, np.full(len(arc), 0.05), together) for one in draws.T]
     found = offsets.shared(some)
     middles = [(low + high) / 2 for low, high in pairwise(offsets.LAGS_PX)]
     assert found == pytest.approx([together**2 * np.exp(-lag / 60.0) for lag in middles], abs=4e-4)

@@ -37,10 +37,15 @@ UNFORETOLD = 2 / np.pi
 """Variance over the square of a range at which a normal density is, in its middle, what an even one is."""
 
 
-def conclude(found: Mapping[str, Matched], registered: Registered) -> dict[str, Matched]:
-    """Every conductor, by id, those under an even load solved for once more."""
+def conclude(
+    found: Mapping[str, Matched], registered: Registered, shared: tuple[float, float] | None = None
+) -> dict[str, Matched]:
+    """Every conductor, by id, those under an even load solved for once more.
+
+    ``shared`` is what neighbouring offsets share, px and relative to their own, where the frame itself cannot tell.
+    """
     judged = {name: _judged(match, registered) for name, match in found.items() if _is_settled(match)}
-    px, share = shared_error((found[name].survey, solution) for name, solution in judged.items())
+    px, share = shared or shared_error((found[name].survey, solution) for name, solution in judged.items())
     result = dict(found)
     for name, solution in judged.items():
         match = found[name]

@@ -23,7 +23,13 @@ BESIDE = 0.5
 """Share of a conductor's blocks that others hide, looked at with the usual range, from which a narrow look is tried."""
 
 
-def locate(site: Site, image: GreyImage, registered: Registered, shelf: Shelf | None = None) -> dict[str, Matched]:
+def locate(
+    site: Site,
+    image: GreyImage,
+    registered: Registered,
+    shelf: Shelf | None = None,
+    shared: tuple[float, float] | None = None,
+) -> dict[str, Matched]:
     """Find the measured conductors of a span, by id.
 
     Every conductor, those that are only known about included, is first found alone under an even load. Where two were
@@ -33,7 +39,8 @@ def locate(site: Site, image: GreyImage, registered: Registered, shelf: Shelf | 
     load is kept clear of the others likewise. Last, those that could as well be each other are marked, and what hangs
     evenly is solved for once more with its offsets as uncertain as all that is known by then leaves them.
 
-    ``shelf`` holds the libraries that frames of the same burst have drawn before.
+    ``shelf`` holds the libraries that frames of the same burst have drawn before. ``shared`` is what neighbouring
+    offsets share, px and relative to their own, where the frame itself cannot tell.
     """
     alone = {c.id: find_even(image, c, survey_of(c, registered), registered, shelf) for c in site.conductors}
     alone = tell_apart(image, site.conductors, registered, alone, shelf)
@@ -59,7 +66,7 @@ def locate(site: Site, image: GreyImage, registered: Registered, shelf: Shelf | 
     known = {c.id: alone[c.id] for c in site.conductors if not c.measured}
     clear = {name: None if found.crowded else found for name, found in located.items()}
     doubtful = exchangeable(site.conductors, registered, known | clear)
-    last = conclude(located, registered)
+    last = conclude(located, registered, shared)
     return {name: replace(found, or_of=doubtful.get(name, "")) for name, found in last.items()}
 
 

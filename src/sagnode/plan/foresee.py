@@ -19,6 +19,7 @@ from sagnode.estimate.camera import NOTHING_KNOWN, LandmarkObservations, solve_c
 from sagnode.estimate.judge import judge
 from sagnode.estimate.locate import locate
 from sagnode.estimate.matched import Matched, visible_share
+from sagnode.estimate.offsets import CORRELATED_PX, CORRELATED_SHARE
 from sagnode.estimate.register import Registered
 from sagnode.estimate.tell import propagate
 from sagnode.geometry.camera import FloatArray, inside, project
@@ -91,7 +92,8 @@ def foresee(span: Span, camera: PlannedCamera, states: Mapping[str, WireState], 
     """
     site = planned_site(span, camera)
     image = expected_frame(placed(span, camera), site.intrinsics, states, look)
-    found = locate(site, image, expected_landmarks(site))
+    # what a lens leaves over, no picture shows that was drawn through its model
+    found = locate(site, image, expected_landmarks(site), shared=(CORRELATED_PX, CORRELATED_SHARE))
     shapes = {c.id: _shape(c, states[c.id]) for c in site.conductors}
     curves = {name: _pixels(site, shape) for name, shape in shapes.items()}
     return [
