@@ -81,3 +81,10 @@ def test_wires_too_near_to_be_measured_apart_say_so(tmp_path: Path) -> None:
         assert m.validity is Validity.INVALID
         causes |= {r.cause for r in m.reasons if "all along" in r.text}
     assert causes == {Cause.AMBIGUOUS}
+
+
+@pytest.mark.parametrize("focal", [850.0, 1000.0])
+def test_wires_a_few_pixels_apart_are_both_told(focal: float, tmp_path: Path) -> None:
+    for m in from_the_side(tmp_path, UNSURE, SAGS, FEW_SAGS, focal):
+        assert m.validity is not Validity.INVALID, m.reasons
+        assert abs(m.estimates["sag"].value - SAGS[m.conductor]) < 3 * m.estimates["sag"].u

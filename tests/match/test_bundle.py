@@ -11,7 +11,7 @@ from sagnode.geometry.camera import Intrinsics, Pose, rotation_from_angles
 from sagnode.match.bundle import lines
 from sagnode.match.kernels import wire_kernel
 from sagnode.match.localise import localise_beside
-from sagnode.match.masks import others_near
+from sagnode.match.masks import Neighbour, others_near
 from sagnode.match.ribbon import line_response, normals
 from sagnode.match.templates import View
 from sagnode.match.track import Track, trace
@@ -115,4 +115,4 @@ def test_another_wire_hides_a_bundle_only_beside_one_of_its_own(aside_px: float,
     track = Track(along / 199, pixels, normal, np.ones(200), along, members)
     index = np.arange(20, 180, 20)
     other = pixels + np.array([0.0, aside_px])
-    assert (others_near(track, index, [other], np.full(len(index), 6.0)) == near).all()
+    assert (others_near(track, index, [Neighbour(other)], np.full(len(index), 6.0)) == near).all()

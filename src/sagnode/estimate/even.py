@@ -15,7 +15,7 @@ from sagnode.geometry.camera import FloatArray
 from sagnode.geometry.conductor import gravity_direction
 from sagnode.match.bundle import lines
 from sagnode.match.library import Shelf
-from sagnode.match.masks import near_another
+from sagnode.match.masks import Neighbour, near_another
 from sagnode.match.ribbon import line_response, normals
 from sagnode.match.robust import percentile
 from sagnode.match.search import Candidate, search
@@ -76,7 +76,7 @@ def find_even(
     refined += [refine(image, conductor, survey, registered, start, [], STAGES[1:]) for start in valley]
     aside = _a_spacing_aside(image, results[0], conductor)
     refined += [refine(image, conductor, survey, registered, start, [], STAGES) for start in aside]
-    return _best(image, refined)
+    return best_of(image, refined)
 
 
 def find_apart(
@@ -84,10 +84,10 @@ def find_apart(
     conductor: SiteConductor,
     survey: Survey,
     registered: Registered,
-    others: list[FloatArray],
+    others: Sequence[Neighbour],
     shelf: Shelf | None = None,
 ) -> Matched | None:
-    """A conductor where it is clear of other wires, polylines (K, 2), one of which it could be taken for.
+    """A conductor where it is clear of other wires, one of which it could be taken for.
 
     The first stages of a refinement look so far aside that they would see those wires; a candidate of the search lies
     near enough for the last.
@@ -97,7 +97,7 @@ def find_apart(
         refine(image, conductor, survey, registered, _start(registered, candidate), others, STAGES[-1:])
         for candidate in _candidates(image, conductor, survey, view, shelf, CANDIDATES_APART)
     ]
-    return _best(image, [each for each in refined if each is not None and each.solution.converged])
+    return best_of(image, [each for each in refined if each is not None and each.solution.converged])
 
 
 def _candidates(
@@ -116,7 +116,7 @@ def _start(registered: Registered, candidate: Candidate) -> FloatArray:
     return start
 
 
-def _best(image: GreyImage, refined: Sequence[Matched | None]) -> Matched | None:
+def best_of(image: GreyImage, refined: Sequence[Matched | None]) -> Matched | None:
     """The best of some refined conductors, with the strongest of the others as its rival."""
     finals = sorted(filter(None, refined), key=merit, reverse=True)
     if not finals:

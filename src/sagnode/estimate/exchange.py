@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sagnode.estimate.joint import solve
-from sagnode.estimate.matched import Matched, is_wire
+from sagnode.estimate.matched import Matched, is_wire, visible_share
 from sagnode.estimate.offsets import CurveObservations
 from sagnode.estimate.refinement import survey_of, view_of
 from sagnode.estimate.register import Registered
@@ -29,6 +29,9 @@ from sagnode.survey import ATTACHMENTS, LOAD, SAG, SWING, Survey
 WORSE = 25.0
 """By how much more the misfit of two conductors in each other's places must be for that to be excluded: odds of
 exp(25/2), or one in 270 000, if offsets erred as they say."""
+CERTAIN_SHARE = 0.5
+"""Share of a span that must be seen of a conductor for its wire not to be another's: with less it may lie across
+several, and each of them be free for others."""
 TRIES = 4
 """Steps by which a conductor's curve approaches another wire."""
 FAR_PX, NEAR_PX = 40.0, 6.0
@@ -46,9 +49,11 @@ def exchangeable(
 ) -> dict[str, str]:
     """Which measured conductors could as well be others, and the others they could be, by id.
 
-    Of ``found`` what lies on no wire is taken for not found.
+    Of ``found`` what lies on no wire is taken for not found. One of which little was measured may have been followed
+    along anything, and to be on some wire is no proof that it is not on another's.
     """
     seen = {c.id: each for c in conductors for each in [found.get(c.id)] if each is not None and _shows(each)}
+    settled = {name for name, each in seen.items() if _certain(each)}
     misfits: dict[tuple[str, str], float] = {}
 
     def misfit(conductor: SiteConductor, wire: str) -> float:
@@ -62,7 +67,7 @@ def exchangeable(
         if not own.measured or own.id not in seen or own.id in result:
             continue
         # the other one on this one's wire, and this one on the other's or on a wire that nobody has found
-        wires = [(other, own)] + [(own, other)] * (other.id in seen)
+        wires = [(other, own)] + [(own, other)] * (other.id in settled)
         if all(misfit(one, there.id) < np.inf for one, there in wires):
             worse = sum(misfit(one, there.id) - misfit(there, there.id) for one, there in wires)
             if worse < WORSE:
@@ -72,6 +77,11 @@ def exchangeable(
 
 def _shows(match: Matched) -> bool:
     return match.solution.converged and (is_wire(match) or not len(match.sighting.seen))
+
+
+def _certain(match: Matched) -> bool:
+    """Whether enough of a conductor was measured to say on which wire it hangs."""
+    return not len(match.sighting.seen) or visible_share(match) >= CERTAIN_SHARE
 
 
 def _misfit_on(conductor: SiteConductor, registered: Registered, wire: Matched) -> float:

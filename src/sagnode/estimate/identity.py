@@ -13,7 +13,7 @@ from sagnode.estimate.matched import Matched
 from sagnode.estimate.refinement import survey_of
 from sagnode.estimate.register import Registered
 from sagnode.match.library import Shelf
-from sagnode.match.masks import near_another
+from sagnode.match.masks import Neighbour, near_another
 from sagnode.site import SiteConductor
 
 TOGETHER_PX = 2.0
@@ -39,8 +39,8 @@ def tell_apart(
         first, second = told[one.id], told[other.id]
         if first is None or second is None or not _contested(first, second):
             continue
-        aside_one = find_apart(image, one, survey_of(one, registered), registered, second.track.wires(), shelf)
-        aside_other = find_apart(image, other, survey_of(other, registered), registered, first.track.wires(), shelf)
+        aside_one = find_apart(image, one, survey_of(one, registered), registered, _wires(second), shelf)
+        aside_other = find_apart(image, other, survey_of(other, registered), registered, _wires(first), shelf)
         ways = [(moved, kept) for moved, kept in ((aside_one, second), (first, aside_other)) if moved and kept]
         if ways:
             told[one.id], told[other.id] = max(ways, key=lambda pair: merit(pair[0]) + merit(pair[1]))
@@ -51,3 +51,7 @@ def _contested(one: Matched, other: Matched) -> bool:
     """Whether two conductors lie on one wire."""
     together = (near_another(a.track, b.track, TOGETHER_PX) for a, b in ((one, other), (other, one)))
     return max(float(np.mean(near)) for near in together) > CONTESTED
+
+
+def _wires(match: Matched) -> list[Neighbour]:
+    return [Neighbour(wire) for wire in match.track.wires()]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from sagnode.capture.port import GreyImage
@@ -105,19 +105,23 @@ def doubt(conductor: SiteConductor, registered: Registered, even: Matched | None
 
 
 def settle_loads(
-    image: GreyImage, registered: Registered, evens: list[tuple[SiteConductor, Matched | None]]
+    pictures: Mapping[str, GreyImage], registered: Registered, evens: list[tuple[SiteConductor, Matched | None]]
 ) -> list[Matched | None]:
     """Every measured conductor of a span under the load that its picture and the others' swings leave it.
 
     An even load is the rule, and where nothing speaks against it nothing more is done. What is suspected is followed
     under an uneven one too; which of the wires may be uneven is decided for all together, and those are refined once
-    more with the swing that the others let expect.
+    more with the swing that the others let expect. ``pictures`` are those that each is looked for in, by id.
     """
     doubts = [doubt(conductor, registered, even) for conductor, even in evens]
     suspects = _suspect(doubts)
     if not any(suspects):
         return [even for _, even in evens]
-    followed = [_follow(image, registered, each) if it else None for each, it in zip(doubts, suspects, strict=True)]
+    images = [pictures[conductor.id] for conductor, _ in evens]
+    followed = [
+        _follow(image, registered, each) if it else None
+        for image, each, it in zip(images, doubts, suspects, strict=True)
+    ]
     followed = [None if _went_astray(each, found) else found for each, found in zip(doubts, followed, strict=True)]
     explained = [
         (each.as_even(), _as_uneven(registered, each, found)) for each, found in zip(doubts, followed, strict=True)
@@ -133,7 +137,7 @@ def settle_loads(
             settled.append(each.even)
             continue
         others = [other for other in (*believed[:k], *believed[k + 1 :]) if other]
-        refined = _refined(image, registered, each, found, expected_swing(others, each.swing_u))
+        refined = _refined(images[k], registered, each, found, expected_swing(others, each.swing_u))
         settled.append(_either(each, refined, probable[k], iced=iced))
     return settled
 

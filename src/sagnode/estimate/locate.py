@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
 
 from sagnode.capture.port import GreyImage
+from sagnode.estimate.beside import disturbed, find_beside, on_one_wire, without
 from sagnode.estimate.conclude import conclude
 from sagnode.estimate.even import find_even
 from sagnode.estimate.exchange import exchangeable
@@ -33,41 +35,59 @@ def locate(
     """Find the measured conductors of a span, by id.
 
     Every conductor, those that are only known about included, is first found alone under an even load. Where two were
-    found on one wire, one of them is looked for beside it. Those that run close to another are refined once more with
-    the others' curves masked, so that a neighbour cannot pull them, and all are completed. Then they are compared:
-    their swings, and what is left over, say whether the load of any may be uneven; what is followed under an uneven
-    load is kept clear of the others likewise. Last, those that could as well be each other are marked, and what hangs
-    evenly is solved for once more with its offsets as uncertain as all that is known by then leaves them.
+    found on one wire, one of them is looked for beside it. Those that run close to another are looked for and refined
+    once more in the picture without the others, so that a neighbour cannot pull them, and all are completed. Then
+    they are compared: their swings, and what is left over, say whether the load of any may be uneven; what is followed
+    under an uneven load is kept clear of the others likewise. Last, those that could as well be each other are marked,
+    and what hangs evenly is solved for once more with its offsets as uncertain as all that is known by then leaves
+    them.
 
     ``shelf`` holds the libraries that frames of the same burst have drawn before. ``shared`` is what neighbouring
     offsets share, px and relative to their own, where the frame itself cannot tell.
     """
-    alone = {c.id: find_even(image, c, survey_of(c, registered), registered, shelf) for c in site.conductors}
-    alone = tell_apart(image, site.conductors, registered, alone, shelf)
+    found_alone = {c.id: find_even(image, c, survey_of(c, registered), registered, shelf) for c in site.conductors}
+    told_apart = tell_apart(image, site.conductors, registered, found_alone, shelf)
+    found = find_beside(image, site.conductors, registered, told_apart, shelf)
     measured = [c for c in site.conductors if c.measured]
-    evens = {c.id: _among_others(image, c, registered, alone) for c in measured}
+    pictures: dict[str, GreyImage] = {}
+    evens: dict[str, Matched | None] = {}
+    for c in measured:
+        evens[c.id], pictures[c.id] = _among_others(image, c, registered, found)
     # one that only shows where a neighbour runs is not told, and says nothing of loads
-    crowded = {name for name, even in evens.items() if even is None and alone[name] is not None}
+    crowded = {name for name, even in evens.items() if even is None and found[name] is not None}
     asked = [c for c in measured if c.id not in crowded]
-    doubted = [(c, found and looked_at(image, found)) for c in asked for found in [evens[c.id]]]
-    settled = dict(zip((c.id for c in asked), settle_loads(image, registered, doubted), strict=True))
-    together = alone | settled
+    doubted = [(c, own and looked_at(pictures[c.id], own)) for c in asked for own in [evens[c.id]]]
+    settled = dict(zip((c.id for c in asked), settle_loads(pictures, registered, doubted), strict=True))
+    together = found | settled
     located: dict[str, Matched] = {}
     for conductor in measured:
-        found = together[conductor.id]
-        if found is not None and conductor.id in crowded:
-            found = looked_at(image, found)
-            found = replace(found, crowded=True) if is_wire(found) else None
-        elif found is not None and found.survey.load_u:
-            found = _among_others(image, conductor, registered, together)
-            found = found and looked_at(image, found)
-        if found is not None:
-            located[conductor.id] = found
-    known = {c.id: alone[c.id] for c in site.conductors if not c.measured}
-    clear = {name: None if found.crowded else found for name, found in located.items()}
+        own = together[conductor.id]
+        if own is not None and conductor.id in crowded:
+            own = looked_at(pictures[conductor.id], own)
+            own = replace(own, crowded=True) if is_wire(own) else None
+        elif own is not None and own.survey.load_u:
+            own, picture = _among_others(image, conductor, registered, together)
+            own = own and looked_at(picture, own)
+        if own is None or not is_wire(own):
+            own = _on_one(image, told_apart[conductor.id], found, conductor) or own
+        if own is not None:
+            located[conductor.id] = own
+    known = {c.id: found[c.id] for c in site.conductors if not c.measured}
+    clear = {name: None if own.crowded else own for name, own in located.items()}
     doubtful = exchangeable(site.conductors, registered, known | clear)
     last = conclude(located, registered, shared)
-    return {name: replace(found, or_of=doubtful.get(name, "")) for name, found in last.items()}
+    return {name: replace(own, or_of=doubtful.get(name, "")) for name, own in last.items()}
+
+
+def _on_one(
+    image: GreyImage, first: Matched | None, found: Mapping[str, Matched | None], conductor: SiteConductor
+) -> Matched | None:
+    """A conductor as it was found ``first``, if that is on a wire where another hangs and nothing is left beside it."""
+    others = [each for name, each in found.items() if each is not None and name != conductor.id]
+    if first is None or not any(on_one_wire(first, other) for other in others):
+        return None
+    first = looked_at(image, first)
+    return replace(first, crowded=True) if is_wire(first) else None
 
 
 def _hidden(found: Matched) -> bool:
@@ -76,31 +96,30 @@ def _hidden(found: Matched) -> bool:
 
 
 def _among_others(
-    image: GreyImage, conductor: SiteConductor, registered: Registered, all_found: dict[str, Matched | None]
-) -> Matched | None:
-    """A conductor as it is measured where it is clear of the others; None where it is not."""
+    image: GreyImage, conductor: SiteConductor, registered: Registered, all_found: Mapping[str, Matched | None]
+) -> tuple[Matched | None, GreyImage]:
+    """A conductor as it is measured without the others, None where it is not; and the picture without them."""
     found = all_found[conductor.id]
     if found is None:
-        return None
-    neighbours = [m.track for name, m in all_found.items() if m is not None and name != conductor.id]
-    others = [wire for track in neighbours for wire in track.wires()]
-    clear = found
-    if runs_near(found.track, others, STAGES[-1].half_range_px):
-        start, stages = found.solution.theta, remaining_stages(found)
-        masked = refine(image, conductor, found.survey, registered, start, others, stages, found.track)
-        if masked is None or _hidden(masked):
-            narrow = narrowed(image, conductor, registered, found, others)
-            if narrow is not None and (masked is None or measured_share(narrow) > measured_share(masked)):
-                masked = narrow
-        if masked is None or (_hidden(masked) and not masked.solution.converged):
-            return None
-        clear = replace(
-            masked,
-            rival=found.rival,
-            other=found.other,
-            other_weight=found.other_weight,
-            doubtful_load=found.doubtful_load,
-        )
-    else:
-        others = []
-    return replace(completed(image, conductor, registered, clear, others), unaided=clear)
+        return None, image
+    others = [other for name, other in all_found.items() if other is not None and name != conductor.id]
+    close = any(runs_near(found.track, other.track.wires(), STAGES[-1].half_range_px) for other in others)
+    if not close and not disturbed(found, others):
+        return replace(completed(image, conductor, registered, found, []), unaided=found), image
+    clear = without(image, found, others)
+    start, stages = found.solution.theta, remaining_stages(found)
+    again = refine(clear.image, conductor, found.survey, registered, start, clear.others, stages, found.track)
+    if again is None or _hidden(again):
+        narrow = narrowed(clear.image, conductor, registered, found, clear.others)
+        if narrow is not None and (again is None or measured_share(narrow) > measured_share(again)):
+            again = narrow
+    if again is None or (_hidden(again) and not again.solution.converged):
+        return None, clear.image
+    again = replace(
+        again,
+        rival=found.rival,
+        other=found.other,
+        other_weight=found.other_weight,
+        doubtful_load=found.doubtful_load,
+    )
+    return replace(completed(clear.image, conductor, registered, again, clear.others), unaided=again), clear.image

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,6 +14,7 @@ from sagnode.estimate.offsets import CurveObservations
 from sagnode.estimate.register import Registered, moved_survey
 from sagnode.estimate.weigh import solve_loads
 from sagnode.geometry.camera import FloatArray
+from sagnode.match.masks import Neighbour
 from sagnode.match.refine import Observed, observe
 from sagnode.match.templates import SAMPLES, View
 from sagnode.match.track import Track, mixed_samples, trace
@@ -74,7 +76,7 @@ def refine(
     survey: Survey,
     registered: Registered,
     theta: FloatArray,
-    others: list[FloatArray],
+    others: Sequence[Neighbour],
     stages: tuple[Stage, ...],
     begun: Track | None = None,
 ) -> Matched | None:
@@ -122,7 +124,7 @@ def completed(
     conductor: SiteConductor,
     registered: Registered,
     found: Matched,
-    others: list[FloatArray],
+    others: Sequence[Neighbour],
 ) -> Matched:
     """The same conductor with what can be measured of it where the rest of the wire foretells its place.
 
@@ -143,7 +145,7 @@ def completed(
 
 
 def narrowed(
-    image: GreyImage, conductor: SiteConductor, registered: Registered, found: Matched, others: list[FloatArray]
+    image: GreyImage, conductor: SiteConductor, registered: Registered, found: Matched, others: Sequence[Neighbour]
 ) -> Matched | None:
     """The same conductor, looked for no farther aside than its place is uncertain: others run beside it all along."""
     for block_px in FORETOLD_BLOCKS_PX[:2]:
@@ -159,7 +161,7 @@ def _foretold(
     conductor: SiteConductor,
     registered: Registered,
     found: Matched,
-    others: list[FloatArray],
+    others: Sequence[Neighbour],
     block_px: float,
     *,
     everywhere: bool = False,

@@ -2,16 +2,41 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
 from sagnode.geometry.camera import FloatArray
+from sagnode.match.kernels import BLUR_PX
+from sagnode.match.peel import aside
 from sagnode.match.robust import median
 from sagnode.match.track import Track
 from sagnode.native import kernels
 
 MOST_COMPARED = 300
 """Samples along a curve that suffice to see whether it folds back."""
+MERGED_PX = 1.5
+"""Two wires whose edges are nearer than this are one line, however well the one of them is taken out."""
+BESIDE_PX = 8.0
+"""Distance beyond which what is left of a wire that was taken out moves no other."""
+
+
+@dataclass(frozen=True)
+class Neighbour:
+    """Another wire, or a stretch of it, about a curve.
+
+    Attributes:
+        pixels: polyline (K, 2).
+        width: px.
+        unsure: standard uncertainty of its place across itself (K,), px, where it was taken out of the picture; None
+            where it is still there to be seen.
+    """
+
+    pixels: FloatArray
+    width: float = 0.0
+    unsure: FloatArray | None = None
 
 
 def near_another(track: Track, other: Track, reach: float) -> NDArray[np.bool_]:
@@ -22,10 +47,11 @@ def near_another(track: Track, other: Track, reach: float) -> NDArray[np.bool_]:
     return np.repeat(masked, every)[: len(track.t)]
 
 
-def runs_near(track: Track, others: list[FloatArray], half_range: float) -> bool:
+def runs_near(track: Track, others: Sequence[FloatArray], half_range: float) -> bool:
     """Whether any other polyline (K, 2) comes so close to a track that its blocks would be masked."""
     every = np.arange(0, len(track.t), 8, dtype=np.int64)
-    return bool(others_near(track, every, others, reach_of(track, half_range)).any())
+    seen = [Neighbour(pixels) for pixels in others]
+    return bool(others_near(track, every, seen, reach_of(track, half_range)).any())
 
 
 def reach_of(track: Track, half_range: float | FloatArray) -> FloatArray:
@@ -34,17 +60,41 @@ def reach_of(track: Track, half_range: float | FloatArray) -> FloatArray:
 
 
 def others_near(
-    track: Track, index: NDArray[np.int64], others: list[FloatArray], reach: FloatArray
+    track: Track, index: NDArray[np.int64], others: Sequence[Neighbour], reach: FloatArray
 ) -> NDArray[np.bool_]:
-    """Which samples (M,) of a track have another polyline (K, 2) within reach, px, of any of its own wires."""
-    pixels, normal = track.pixels[index], track.normal[index]
+    """Which samples (M,) of a track have another wire within reach, px, of any of its own wires.
+
+    One that was taken out of the picture disturbs only where it cannot be told from the track's own.
+    """
+    pixels, normal, width = track.pixels[index], track.normal[index], track.width[index]
     reach = np.broadcast_to(reach, index.shape)
     masked = np.zeros(len(index), dtype=bool)
-    for aside in track.members[:, index]:
-        place = pixels + aside[:, None] * normal
+    for offset in track.members[:, index]:
+        place = pixels + offset[:, None] * normal
         for other in others:
-            masked |= near(place, normal, other, reach)
+            merged = MERGED_PX + 0.5 * (width + other.width)
+            masked |= near(place, normal, other.pixels, reach if other.unsure is None else merged)
     return masked
+
+
+def pulled(track: Track, index: NDArray[np.int64], others: Sequence[Neighbour]) -> FloatArray:
+    """Standard uncertainty (M,) of a wire's place at samples of its track, px, by that of wires taken out beside it.
+
+    A wire that was taken out e px from where it is leaves e times the slope of its profile. With profiles like Gauss's
+    of standard deviation s, that moves another one d px aside by up to e (1 + d²/2s²) exp(-d²/4s²).
+    """
+    variance = np.zeros(len(index))
+    for offset in track.members[:, index]:
+        place = track.pixels[index] + offset[:, None] * track.normal[index]
+        for other in others:
+            if other.unsure is None:
+                continue
+            away, nearest = aside(place, track.normal[index], other.pixels, BESIDE_PX)
+            squared = np.where(np.isfinite(away), away, np.inf) ** 2
+            spread = BLUR_PX**2 + np.maximum(track.width[index], other.width) ** 2 / 12
+            share = np.exp(-0.25 * squared / spread) * (1 + 0.5 * np.minimum(squared, BESIDE_PX**2) / spread)
+            variance += (np.minimum(share, 1.0) * other.unsure[nearest]) ** 2
+    return np.asarray(np.sqrt(variance))
 
 
 def folds_back(track: Track, index: NDArray[np.int64], reach: FloatArray) -> NDArray[np.bool_]:

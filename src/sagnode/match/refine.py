@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,7 +12,7 @@ from sagnode.capture.port import GreyImage
 from sagnode.geometry.camera import FloatArray
 from sagnode.match.kernels import MARGIN_PX
 from sagnode.match.localise import localise_beside
-from sagnode.match.masks import folds_back, others_near, reach_of
+from sagnode.match.masks import Neighbour, folds_back, others_near, pulled, reach_of
 from sagnode.match.standing import UNKNOWN_PX, stand_out, texture_sigma
 from sagnode.match.track import Track
 
@@ -33,7 +34,7 @@ class Observed:
         normal: unit normal there (M, 2).
         offset: of the wire along the normal, px (M,).
         sigma: standard uncertainty of the offset, px (M,): noise, and the chance that it is not the wire.
-        noise: the part of it that is noise alone, px (M,).
+        noise: the part of it that is noise, and what wires that were taken out of the picture beside it leave, px (M,).
         half_range: greatest offset looked for, px (M,).
         texture: standard deviation of what the chance that this very block found texture adds, px (M,).
         scatter: standard uncertainty by which its two halves contradict each other, px (M,).
@@ -62,7 +63,7 @@ def observe(
     image: GreyImage,
     track: Track,
     half_range: float | FloatArray,
-    others: list[FloatArray],
+    others: Sequence[Neighbour],
     block_px: float,
     shifts: int,
     run: int,
@@ -74,7 +75,7 @@ def observe(
         image: raw grey frame.
         track: the predicted curve.
         half_range: how far across the curve to look, px; one value, or one for every sample (N,).
-        others: polylines (K, 2) of other known wires; blocks that could see them are masked.
+        others: other known wires; blocks that could see them, or cannot be told from them, are masked.
         block_px: length of a block; long blocks see fainter wires once the curve is nearly right.
         shifts: how many shifted curves a block is ranked against, nearest first.
         run: least number of usable blocks in a row.
@@ -100,6 +101,7 @@ def observe(
     reach = reach_of(track, own_range) + margin - MARGIN_PX
     masked = folds_back(track, index, reach) | others_near(track, index, others, reach)
     stood = stand_out(blocks, beside, masked, own_range, widest, run)
+    left = pulled(track, index, others)
     return Observed(
         track=track,
         t=track.t[index],
@@ -107,8 +109,8 @@ def observe(
         pixel=pixel,
         normal=normal,
         offset=stood.offset,
-        sigma=stood.sigma,
-        noise=np.nan_to_num(blocks.sigma, nan=UNKNOWN_PX),
+        sigma=np.hypot(stood.sigma, left),
+        noise=np.hypot(np.nan_to_num(blocks.sigma, nan=UNKNOWN_PX), left),
         half_range=own_range,
         texture=texture_sigma(blocks.snr, own_range),
         scatter=blocks.scatter,

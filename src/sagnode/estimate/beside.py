@@ -1,0 +1,206 @@
+"""Conductors that run beside each other: each is looked for in the picture without the others.
+
+A wire a few pixels away is the higher peak about a weaker wire's curve, and one that runs anywhere within the reach of
+the shifted curves that a curve is compared with makes every place on it look like texture. So what was found is taken
+out (:mod:`sagnode.match.peel`), the surest first, and the next is looked for in what is left; then each once more
+without all others.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sagnode.capture.port import GreyImage
+from sagnode.estimate.even import best_of, find_apart, find_even, merit
+from sagnode.estimate.joint import curve_uncertainty
+from sagnode.estimate.matched import Matched, is_wire, looked_at, measured_share
+from sagnode.estimate.offsets import CurveObservations
+from sagnode.estimate.refinement import refine, remaining_stages, survey_of
+from sagnode.estimate.register import Registered
+from sagnode.geometry.camera import FloatArray
+from sagnode.match.library import Shelf
+from sagnode.match.masks import Neighbour, near, near_another
+from sagnode.match.peel import Line, peeled
+from sagnode.site import SiteConductor
+
+KNOWN_PX = 0.7
+"""A wire is taken out where its place is surer than this; farther off, most of it would stay."""
+LOOKED_AT_PX = 45.0
+"""Distance to which what looks at a curve looks beside it: shifted curves and their sides."""
+CLEAR_SHARE = 0.75
+"""Share of usable blocks from which a conductor was found clearly, whatever runs beside it at a distance."""
+CLOSE_PX = 12.0
+"""Distance within which another wire may have been followed instead."""
+TAKEN_CHANCE = 1e-4
+"""Chance of so many windows standing out from which a curve's wire is taken out: with others still in the picture, it
+cannot stand out from all the curves beside it."""
+DISTURBED_SHARE = 0.2
+"""Share of a curve beside which others run from which they are in the way of finding it; less is left aside when it is
+measured."""
+SAMPLES = 60
+"""Places along a curve where its uncertainty is worked out."""
+SAME_WIRE = 0.25
+"""Share of a curve within a pixel or two of another from which both lie on one wire."""
+SAME_PX = 2.0
+
+
+@dataclass(frozen=True)
+class Picture:
+    """The picture as one conductor is to be looked for in it.
+
+    Attributes:
+        image: without the wires that are known.
+        others: those, and stretches of them that are not known well enough and stayed.
+    """
+
+    image: GreyImage
+    others: Sequence[Neighbour]
+
+
+def without(image: GreyImage, own: Matched | None, others: Sequence[Matched]) -> Picture:
+    """The picture without other conductors where they run beside one, or anywhere if nobody knows where that one is."""
+    lines: list[Line] = []
+    neighbours: list[Neighbour] = []
+    for other in others:
+        unsure = _uncertainty(other)
+        track = other.track
+        beside = np.ones(len(track.t), dtype=bool)
+        if own is not None:
+            beside = near(track.pixels, track.normal, own.track.pixels, np.full(len(track.t), LOOKED_AT_PX))
+        known = unsure < KNOWN_PX
+        for wire in track.wires():
+            for part in _stretches(beside & known):
+                lines.append(Line(wire[part], track.normal[part], track.width[part]))
+                neighbours.append(Neighbour(wire[part], float(np.mean(track.width[part])), unsure[part]))
+            neighbours += [
+                Neighbour(wire[part], float(np.mean(track.width[part]))) for part in _stretches(beside & ~known)
+            ]
+    kept = [] if own is None else [Line(wire, own.track.normal, own.track.width) for wire in own.track.wires()]
+    return Picture(peeled(image, lines, kept), neighbours)
+
+
+def find_beside(
+    image: GreyImage,
+    conductors: Sequence[SiteConductor],
+    registered: Registered,
+    found: Mapping[str, Matched | None],
+    shelf: Shelf | None = None,
+) -> dict[str, Matched | None]:
+    """Conductors as they are found without those beside them, by id; those that run clear of others stay as they are.
+
+    Args:
+        image: raw grey frame.
+        conductors: all of the span.
+        registered: the camera.
+        found: each as it was found in the whole picture.
+        shelf: libraries that were drawn before.
+    """
+    told = dict(found)
+    if not any(disturbed(told[c.id], _others(told, c)) for c in conductors):
+        return told
+    surest = sorted(conductors, key=lambda c: _strength(told[c.id]), reverse=True)
+    taken: list[Matched] = []
+    for conductor in surest:
+        own = told[conductor.id]
+        if taken and disturbed(own, taken):
+            own = _again(image, conductor, registered, own, taken, shelf, anywhere=True)
+        told[conductor.id] = own
+        if own is not None and _stands_out(without(image, own, taken).image, own):
+            taken.append(own)
+    for conductor in surest:
+        own = told[conductor.id]
+        others = [each for each in _others(told, conductor) if any(each is one for one in taken)]
+        if disturbed(own, others):
+            again = _again(image, conductor, registered, own, others, shelf, anywhere=False)
+            taken = [again if each is own and again is not None else each for each in taken]
+            told[conductor.id] = again
+    return told
+
+
+def disturbed(own: Matched | None, others: Sequence[Matched]) -> bool:
+    """Whether others may have kept a conductor from being found, or from being found in its place."""
+    if own is None or not own.solution.converged:
+        return bool(others)
+    clear = float(np.mean(own.observed.usable)) >= CLEAR_SHARE
+    return _share_near(own, others, CLOSE_PX if clear else LOOKED_AT_PX) > DISTURBED_SHARE
+
+
+def _share_near(own: Matched, others: Sequence[Matched], reach: float) -> float:
+    """Share of a curve, by its length in the picture, within whose reach, px, any of some others runs."""
+    beside = np.zeros(len(own.track.t), dtype=bool)
+    for other in others:
+        beside |= near_another(own.track, other.track, reach)
+    return float(np.mean(beside))
+
+
+def _again(
+    image: GreyImage,
+    conductor: SiteConductor,
+    registered: Registered,
+    own: Matched | None,
+    others: Sequence[Matched],
+    shelf: Shelf | None,
+    *,
+    anywhere: bool,
+) -> Matched | None:
+    """A conductor looked for without some others: where it was found before, and ``anywhere`` if it shows no wire."""
+    survey = survey_of(conductor, registered)
+    on_one = own is not None and any(on_one_wire(own, other) for other in others)
+    clear = without(image, None if on_one else own, others)
+    results: list[Matched | None] = []
+    if own is not None and not on_one:
+        start = own.solution.theta
+        results.append(
+            refine(clear.image, conductor, survey, registered, start, clear.others, remaining_stages(own), own.track)
+        )
+    if anywhere or not _any_wire(clear.image, results):
+        results.append(find_even(clear.image, conductor, survey, registered, shelf))
+    if not _any_wire(clear.image, results):
+        # among others a faint wire is no run of blocks that lead the curves beside it; as a whole it may stand out
+        results.append(find_apart(clear.image, conductor, survey, registered, clear.others, shelf))
+    return best_of(clear.image, results)
+
+
+def _any_wire(image: GreyImage, matches: Sequence[Matched | None]) -> bool:
+    return any(each is not None and is_wire(looked_at(image, each)) for each in matches)
+
+
+def _stands_out(image: GreyImage, match: Matched) -> bool:
+    """Whether a curve lies on something that is worth taking out: less than what it takes to tell it."""
+    sighting = looked_at(image, match).sighting
+    return sighting.chance <= TAKEN_CHANCE
+
+
+def on_one_wire(one: Matched, other: Matched) -> bool:
+    """Whether two conductors were found on the same wire."""
+    return float(np.mean(near_another(one.track, other.track, SAME_PX))) > SAME_WIRE
+
+
+def _others(found: Mapping[str, Matched | None], conductor: SiteConductor) -> list[Matched]:
+    return [each for name, each in found.items() if each is not None and name != conductor.id]
+
+
+def _strength(match: Matched | None) -> float:
+    """How surely a conductor was found: what its curve shows, and how much of it."""
+    return -1.0 if match is None or not match.solution.converged else merit(match) * measured_share(match)
+
+
+def _uncertainty(match: Matched) -> FloatArray:
+    """Standard uncertainty of a conductor's curve across itself at the samples (N,) of its track, px."""
+    track = match.track
+    some = np.unique(np.linspace(0, len(track.t) - 1, SAMPLES).astype(np.intp))
+    places = CurveObservations(
+        track.t[some], track.arc[some], track.normal[some], track.pixels[some], np.ones(len(some))
+    )
+    sigma = curve_uncertainty(match.survey, match.solution, places)
+    return np.interp(track.arc, track.arc[some], sigma)
+
+
+def _stretches(some: NDArray[np.bool_]) -> list[slice]:
+    """Stretches of at least two samples that are all among some (N,)."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], some, [False]]).astype(np.int8)))
+    return [slice(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True) if b - a > 1]
