@@ -41,6 +41,8 @@ cannot stand out from all the curves beside it."""
 DISTURBED_SHARE = 0.2
 """Share of a curve beside which others run from which they are in the way of finding it; less is left aside when it is
 measured."""
+MOVED_PX, MOVED_SHARE = 0.5, 0.05
+"""A wire that lies farther than this from where it was taken out, over this share of another beside it, was not."""
 SAMPLES = 60
 """Places along a curve where its uncertainty is worked out."""
 SAME_WIRE = 0.25
@@ -127,6 +129,20 @@ def disturbed(own: Matched | None, others: Sequence[Matched]) -> bool:
         return bool(others)
     clear = float(np.mean(own.observed.usable)) >= CLEAR_SHARE
     return _share_near(own, others, CLOSE_PX if clear else LOOKED_AT_PX) > DISTURBED_SHARE
+
+
+def moved(own: Matched, before: Matched | None, after: Matched | None) -> bool:
+    """Whether another that was taken out beside a conductor is not where it was then, as far as it can disturb."""
+    if before is after:
+        return False
+    if before is None or after is None:
+        return disturbed(own, [each for each in (before, after) if each is not None])
+    for one, other in ((before, after), (after, before)):
+        beside = near_another(one.track, own.track, CLOSE_PX)
+        elsewhere = beside & ~near_another(one.track, other.track, MOVED_PX)
+        if float(elsewhere.sum()) > MOVED_SHARE * len(own.track.t):
+            return True
+    return False
 
 
 def _share_near(own: Matched, others: Sequence[Matched], reach: float) -> float:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from sagnode.capture.port import GreyImage
-from sagnode.estimate.beside import disturbed, find_beside, on_one_wire, without
+from sagnode.estimate.beside import disturbed, find_beside, moved, on_one_wire, without
 from sagnode.estimate.conclude import conclude
 from sagnode.estimate.even import find_even
 from sagnode.estimate.exchange import exchangeable
@@ -23,6 +23,9 @@ from sagnode.site import Site, SiteConductor
 
 BESIDE = 0.5
 """Share of a conductor's blocks that others hide, looked at with the usual range, from which a narrow look is tried."""
+
+ROUNDS = 5
+"""Most rounds of measuring conductors beside each other, each without the others where they were found last."""
 
 
 def locate(
@@ -49,26 +52,25 @@ def locate(
     told_apart = tell_apart(image, site.conductors, registered, found_alone, shelf)
     found = find_beside(image, site.conductors, registered, told_apart, shelf)
     measured = [c for c in site.conductors if c.measured]
-    pictures: dict[str, GreyImage] = {}
-    evens: dict[str, Matched | None] = {}
-    for c in measured:
-        evens[c.id], pictures[c.id] = _among_others(image, c, registered, found)
+    evens, pictures = _measured(image, measured, registered, found)
     # one that only shows where a neighbour runs is not told, and says nothing of loads
     crowded = {name for name, even in evens.items() if even is None and found[name] is not None}
     asked = [c for c in measured if c.id not in crowded]
     doubted = [(c, own and looked_at(pictures[c.id], own)) for c in asked for own in [evens[c.id]]]
     settled = dict(zip((c.id for c in asked), settle_loads(pictures, registered, doubted), strict=True))
+    before = {name: evens.get(name) or match for name, match in found.items()}
     together = found | settled
     located: dict[str, Matched] = {}
     for conductor in measured:
-        own = together[conductor.id]
+        own, picture = together[conductor.id], pictures[conductor.id]
+        others = {name: match for name, match in before.items() if name != conductor.id}
         if own is not None and conductor.id in crowded:
-            own = looked_at(pictures[conductor.id], own)
-            own = replace(own, crowded=True) if is_wire(own) else None
-        elif own is not None and own.survey.load_u:
+            own = _crowded(picture, own)
+        elif own is not None and (own.survey.load_u or _outdated(own, others, together)):
             own, picture = _among_others(image, conductor, registered, together)
             own = own and looked_at(picture, own)
         if own is None or not is_wire(own):
+            # where two were found on one wire, and nothing beside it, the wire is there, and either may hang on it
             own = _on_one(image, told_apart[conductor.id], found, conductor) or own
         if own is not None:
             located[conductor.id] = own
@@ -79,15 +81,48 @@ def locate(
     return {name: replace(own, or_of=doubtful.get(name, "")) for name, own in last.items()}
 
 
+def _measured(
+    image: GreyImage, conductors: Sequence[SiteConductor], registered: Registered, found: Mapping[str, Matched | None]
+) -> tuple[dict[str, Matched | None], dict[str, GreyImage]]:
+    """Conductors as they are measured without each other, by id, and the pictures that they are measured in.
+
+    What moves is taken out of the others' pictures anew. Those beside which it never comes to rest are not measured:
+    they may lie on a wire that was taken out elsewhere.
+    """
+    latest, pictures = dict(found), dict.fromkeys(found, image)
+    evens: dict[str, Matched | None] = {}
+    beside: dict[str, dict[str, Matched | None]] = {}
+    for _ in range(ROUNDS):
+        again = [c for c in conductors if c.id not in beside or _outdated(latest[c.id], beside[c.id], latest)]
+        for c in again:
+            beside[c.id] = {name: other for name, other in latest.items() if name != c.id}
+            evens[c.id], pictures[c.id] = _among_others(image, c, registered, latest)
+            latest[c.id] = evens[c.id] or latest[c.id]
+        if not again:
+            return evens, pictures
+    restless = [c.id for c in conductors if _outdated(latest[c.id], beside[c.id], latest)]
+    return evens | dict.fromkeys(restless), pictures
+
+
+def _outdated(own: Matched | None, beside: Mapping[str, Matched | None], latest: Mapping[str, Matched | None]) -> bool:
+    """Whether any of those that a conductor was measured without has moved since."""
+    return own is not None and any(moved(own, before, latest[name]) for name, before in beside.items())
+
+
+def _crowded(image: GreyImage, found: Matched) -> Matched | None:
+    """A conductor of which nothing can be measured by itself, if it lies on a wire at all."""
+    found = looked_at(image, found)
+    return replace(found, crowded=True) if is_wire(found) else None
+
+
 def _on_one(
     image: GreyImage, first: Matched | None, found: Mapping[str, Matched | None], conductor: SiteConductor
 ) -> Matched | None:
-    """A conductor as it was found ``first``, if that is on a wire where another hangs and nothing is left beside it."""
+    """A conductor as it was found ``first``, if another hangs on the wire that it was found on."""
     others = [each for name, each in found.items() if each is not None and name != conductor.id]
     if first is None or not any(on_one_wire(first, other) for other in others):
         return None
-    first = looked_at(image, first)
-    return replace(first, crowded=True) if is_wire(first) else None
+    return _crowded(image, first)
 
 
 def _hidden(found: Matched) -> bool:

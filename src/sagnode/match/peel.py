@@ -24,7 +24,7 @@ from sagnode.match.localise import block_starts
 from sagnode.match.ribbon import arc_length, straighten
 
 BLURS_PX = (0.6, 0.8, 1.0, 1.2, 1.4)
-"""Standard deviations of a picture's blur that are tried; the one that leaves least is taken."""
+"""Standard deviations of a picture's blur that are tried; between them, the one that leaves least is interpolated."""
 BLOCK_PX = 24.0
 """Length along a wire over which its contrast is taken for even: it changes where the background does."""
 BETWEEN_PIXELS = 1 / 6
