@@ -10,7 +10,7 @@ from tally import Outcome, answers, changes, coverage_by_chance, statistics
 
 ENOUGH = 50
 """Readings from which a group's coverage is judged."""
-ALONG_AND_SIDE = ("tower", "field", "field-tower", "field-ground", "side50", "side100", "side200")
+ALONG_AND_SIDE = ("tower", "field", "field-tower", "field-ground", "side50", "side100", "side-beside", "side200")
 
 
 @dataclass(frozen=True)

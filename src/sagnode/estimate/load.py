@@ -14,6 +14,7 @@ from sagnode.estimate.refinement import STAGES, refine, survey_of, view_of, weig
 from sagnode.estimate.register import Registered
 from sagnode.estimate.starts import starts
 from sagnode.estimate.swings import Explanation, expected_swing, explanation, uneven_probabilities
+from sagnode.estimate.unexcluded import unexcluded
 from sagnode.estimate.weigh import settled
 from sagnode.geometry.camera import FloatArray
 from sagnode.match.library import draw_library
@@ -114,9 +115,11 @@ def settle_loads(
     more with the swing that the others let expect. ``pictures`` are those that each is looked for in, by id.
     """
     doubts = [doubt(conductor, registered, even) for conductor, even in evens]
-    suspects = _suspect(doubts)
+    explained = [(each.as_even(), each.as_uneven()) for each in doubts]
+    probable = _probable(explained, doubts)
+    suspects = [each.hardly_seen() or p > ASKED for each, p in zip(doubts, probable, strict=True)]
     if not any(suspects):
-        return [even for _, even in evens]
+        return [_left_even(each, p, explained, k) for k, (each, p) in enumerate(zip(doubts, probable, strict=True))]
     images = [pictures[conductor.id] for conductor, _ in evens]
     followed = [
         _follow(image, registered, each) if it else None
@@ -133,12 +136,13 @@ def settle_loads(
     believed = [pair[1][-1:] if other else pair[0] for pair, other in zip(explained, uneven, strict=True)]
     settled: list[Matched | None] = []
     for k, (each, found) in enumerate(zip(doubts, followed, strict=True)):
+        left_even = _left_even(each, probable[k], explained, k)
         if not uneven[k] and each.strains:
-            settled.append(each.even)
+            settled.append(left_even)
             continue
         others = [other for other in (*believed[:k], *believed[k + 1 :]) if other]
         refined = _refined(images[k], registered, each, found, expected_swing(others, each.swing_u))
-        settled.append(_either(each, refined, probable[k], iced=iced))
+        settled.append(_either(replace(each, even=left_even), refined, probable[k], iced=iced))
     return settled
 
 
@@ -156,10 +160,15 @@ def _probable(explained: list[tuple[list[Explanation], list[Explanation]]], doub
     return result
 
 
-def _suspect(doubts: list[Doubt]) -> list[bool]:
-    """Which conductors may hang unevenly, by their even curves alone."""
-    explained = [(each.as_even(), each.as_uneven()) for each in doubts]
-    return [each.hardly_seen() or p > ASKED for each, p in zip(doubts, _probable(explained, doubts), strict=True)]
+def _left_even(
+    each: Doubt, probable: float, explained: list[tuple[list[Explanation], list[Explanation]]], own: int
+) -> Matched | None:
+    """A conductor under an even load, with the uneven ones that the picture does not exclude."""
+    if each.even is None or not each.strains:
+        return each.even
+    others = [even for k, (even, _) in enumerate(explained) if even and k != own]
+    loads = unexcluded(each.even.solution, each.survey, probable, expected_swing(others, each.swing_u))
+    return replace(each.even, unexcluded=loads)
 
 
 def _follow(image: GreyImage, registered: Registered, each: Doubt) -> Matched | None:

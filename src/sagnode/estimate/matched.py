@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from sagnode.capture.port import GreyImage
 from sagnode.estimate.joint import Solution
 from sagnode.estimate.offsets import CurveObservations
+from sagnode.estimate.unexcluded import Loads
 from sagnode.geometry.camera import FloatArray
 from sagnode.match.refine import Observed
 from sagnode.match.sight import Sighting, sight
@@ -53,6 +54,8 @@ class Matched:
     told holds both."""
     other_weight: float = 0.0
     """How much of the way towards the other load the intervals reach, 0..1: less where that one is hardly likely."""
+    unexcluded: Loads | None = None
+    """Uneven loads that hardly anything speaks for, but that the picture does not exclude either."""
     doubtful_load: bool = False
     """The wire hangs unevenly by its misfit, and no uneven load was found that explains it better."""
     crowded: bool = False

@@ -6,10 +6,12 @@ The law of propagation (JCGM 100): with g the derivatives of a quantity by θ, `
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
 from sagnode.estimate.judge import judge
+from sagnode.estimate.load_kinds import LOAD_U
 from sagnode.estimate.lone import lone_block
 from sagnode.estimate.matched import Matched, on_curve, visible_share
 from sagnode.estimate.register import Registered
@@ -125,6 +127,10 @@ def propagate(
     # half the second difference over one standard uncertainty of swing to both sides (JCGM 100, 5.1.2, note)
     second = 0.5 * (table[:, -2] + table[:, -1] - 2 * table[:, 0]) ** 2
     other = {} if found.other is None else propagate(site, conductor, found.other)[0]
+    loads = found.unexcluded
+    loaded = {}
+    if loads is not None:
+        loaded = _values(site, conductor, replace(survey, load_u=LOAD_U), loads.theta, calm=False)
     estimates, budget = {}, {}
     for row, stem in enumerate(all_values):
         value = float(table[row, 0])
@@ -142,6 +148,11 @@ def propagate(
             parts["survey along the span"] = survey.attachment_u**2
         if stem == "clearance_along":
             parts["ground"] = clearance_place_u(survey.shape(theta), site.ground) ** 2
+        if loads is not None:
+            # what an uneven load leaves undefined, as a tension, is off by what the even one's sag and swing are
+            there = loaded.get(stem, value + (loads.theta - theta) @ g[row])
+            # as far as the interval does not reach to the other load anyway
+            parts["load not excluded"] = (1 - found.other_weight) * loads.variance(value, there)
         if stem in other:
             # the 95 % interval reaches as far as the value under the other load, and is no narrower than that one's
             beyond = other[stem].u ** 2 - sum(parts.values())
