@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import cv2
 import numpy as np
 
@@ -67,10 +69,12 @@ def judge(
     found: Matched | None,
     estimates: dict[str, Estimate],
     landmarks: float | None = None,
+    allowance: float = 0.0,
 ) -> tuple[Validity, list[Reason]]:
     """Validity and reasons of one conductor's estimate; an invalid one carries no numbers.
 
-    ``landmarks`` is the share of those that the reference picture shows which were recognised, where there is one.
+    ``landmarks`` is the share of those that the reference picture shows which were recognised, where there is one, and
+    ``allowance`` the part of the sag's standard uncertainty, m, that is for loads which are not excluded.
     """
     if found is None:
         return Validity.INVALID, [Reason(Cause.NO_CONDUCTOR, "no curve of this conductor lies on anything like a wire")]
@@ -83,7 +87,7 @@ def judge(
     invalid = [
         *_not_a_wire(found),
         *_not_this_conductor(conductor, found, estimates["inplane_sag"]),
-        *_not_certain(found, estimates["sag"]),
+        *_not_certain(found, estimates["sag"], allowance),
         *_not_this_scene(found, landmarks),
     ]
     if invalid:
@@ -134,14 +138,15 @@ def _not_this_conductor(conductor: SiteConductor, found: Matched, sag: Estimate)
     return reasons
 
 
-def _not_certain(found: Matched, sag: Estimate) -> list[Reason]:
+def _not_certain(found: Matched, sag: Estimate, allowance: float) -> list[Reason]:
     reasons = []
     if not found.solution.converged:
         reasons.append(Reason(Cause.NOT_CONVERGED, "the joint estimate of camera and conductor did not settle"))
     if found.doubtful_load:
         text = "the wire hangs as under an uneven load, ice or a weight on a part of the span, that cannot be followed"
         reasons.append(Reason(Cause.ICE_SUSPECT, text))
-    share = sag.u / max(sag.value, 1e-9)
+    # what is allowed for a load says nothing against the even one's propagation
+    share = math.sqrt(max(sag.u**2 - allowance**2, 0.0)) / max(sag.value, 1e-9)
     if share > SAG_U_MAX:
         text = f"standard uncertainty of sag is {100 * share:.1f} % of it; the view or the survey is too weak"
         reasons += [Reason(Cause.UNCERTAIN, text), *_ice(found)]

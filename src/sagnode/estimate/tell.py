@@ -71,7 +71,8 @@ def tell(
     # judge: may it be told?
     tracked = registered.tracked
     landmarks = None if tracked is None else tracked.count / max(int(tracked.visible.sum()), 1)
-    validity, reasons = judge(site, conductor, found, estimates, landmarks)
+    allowance = budget.get("sag", {}).get("load not excluded", 0.0)
+    validity, reasons = judge(site, conductor, found, estimates, landmarks, allowance)
     told = validity is not Validity.INVALID
     return FrameMeasurement(
         conductor=conductor.id,
