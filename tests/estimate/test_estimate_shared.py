@@ -19,14 +19,14 @@ def frame(seed, *asked, conductors=3, **words):
     return [(survey, solve(survey, theta, NOTHING_KNOWN, curve)) for survey, theta, curve in drawn]
 
 
-@pytest.mark.parametrize("shared_px", [0.015, 0.03, 0.06])
+@pytest.mark.parametrize("shared_px", [0.03, 0.06])
 def test_what_neighbours_share_is_found(shared_px):
     found = [shared_error(frame(seed, shared_px))[0] for seed in range(8)]
     assert np.median(found) == pytest.approx(shared_px, rel=0.3)
     assert all(0.5 < one / shared_px < 2 for one in found)
 
 
-def test_less_than_any_lens_is_known_to_is_not_believed():
+def test_less_than_lenses_may_leave_unseen_is_not_believed():
     found = shared_error(frame(1, 0.001))[0]
     assert LEVELS_PX[0] <= found < 1.3 * LEVELS_PX[0]
 
@@ -73,7 +73,7 @@ def test_the_evidence_is_that_of_the_offsets_covariance():
 
 def test_what_is_found_makes_the_uncertainty_what_the_errors_are():
     """Sag of many conductors under either shared error, each stated as uncertain as its own frame shows."""
-    for shared_px in (0.01, 0.06):
+    for shared_px in (0.02, 0.06):
         z, u = [], []
         for seed in range(40):
             rng = np.random.default_rng(100 + seed)
@@ -88,3 +88,20 @@ def test_what_is_found_makes_the_uncertainty_what_the_errors_are():
                 z.append((one.theta[SAG] - theta[SAG]) / np.sqrt(own))
                 u.append(np.sqrt(own))
         assert 0.7 < np.sqrt(np.mean(np.square(z))) < 1.3, shared_px
+
+
+def test_what_a_lens_leaves_so_smoothly_that_no_residual_shows_it_is_stated():
+    z, seen = [], []
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        survey, theta, curve = hanging(rng, 0.001)
+        alike = np.exp(-0.5 * ((curve.arc[:, None] - curve.arc) / 150.0) ** 2)
+        left = 0.04 * np.linalg.cholesky(alike + 1e-8 * np.eye(len(alike))) @ rng.standard_normal(len(alike))
+        curve = replace(curve, measured=curve.measured + left[:, None] * curve.normal)
+        px, share = shared_error([(survey, solve(survey, theta, NOTHING_KNOWN, curve))])
+        one = solve(survey, theta, NOTHING_KNOWN, replace(curve, shared_px=px, shared_share=share))
+        z.append((one.theta[SAG] - theta[SAG]) / np.sqrt(one.covariance[SAG, SAG]))
+        seen.append(px)
+    # neighbours show less than there is
+    assert np.median(seen) < 0.025
+    assert np.sqrt(np.mean(np.square(z))) < 1.3
