@@ -111,6 +111,17 @@ def test_a_wire_taken_out_hides_only_what_merges_with_it_and_makes_the_rest_less
     assert not hidden[gap > 4].any()
     assert others_near(track, index, [Neighbour(other.pixels, WIDTH)], np.full(len(U), 6.0))[gap < 5].all()
     unsure = pulled(track, index, [taken])
-    assert unsure[gap < 0.5].min() > 0.19
-    assert unsure[gap > 7].max() < 0.01
-    assert (unsure <= 0.2 + 1e-12).all()
+    assert unsure[(gap > 2.6) & (gap < 3)].min() > 0.05
+    assert unsure[gap > 7.5].max() < 0.01
+
+
+def test_what_a_wire_taken_out_leaves_is_no_surer_along_all_of_another_than_at_one_place() -> None:
+    own, other = wire(60.0, bend=0.0), wire(63.0, bend=0.0)
+    track = Track(
+        np.linspace(0, 1, len(U)), own.pixels, own.normal, own.width, arc_length(own.pixels), np.zeros((1, len(U)))
+    )
+    taken = Neighbour(other.pixels, WIDTH, np.full(len(U), 0.2))
+    one, few, many = (pulled(track, np.linspace(50, 340, n).astype(int), [taken]) for n in (1, 4, 64))
+    assert 0.02 < one[0] < 0.1
+    for several in (few, many):
+        assert 1 / np.sqrt(np.sum(several**-2)) == pytest.approx(one[0], rel=0.02)

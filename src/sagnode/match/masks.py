@@ -72,16 +72,22 @@ def others_near(
     for offset in track.members[:, index]:
         place = pixels + offset[:, None] * normal
         for other in others:
-            merged = MERGED_PX + 0.5 * (width + other.width)
-            masked |= near(place, normal, other.pixels, reach if other.unsure is None else merged)
+            masked |= near(place, normal, other.pixels, reach if other.unsure is None else _merged(width, other))
     return masked
+
+
+def _merged(width: FloatArray, other: Neighbour) -> FloatArray:
+    """Distance (M,) below which a wire ``width`` (M,) px wide is one line with another."""
+    return MERGED_PX + 0.5 * (width + other.width)
 
 
 def pulled(track: Track, index: NDArray[np.int64], others: Sequence[Neighbour]) -> FloatArray:
     """Standard uncertainty (M,) of a wire's place at samples of its track, px, by that of wires taken out beside it.
 
     A wire that was taken out e px from where it is leaves e times the slope of its profile. With profiles like Gauss's
-    of standard deviation s, that moves another one d px aside by up to e (1 + d²/2s²) exp(-d²/4s²).
+    of standard deviation s, that moves another one d px aside by up to e (1 + d²/2s²) exp(-d²/4s²). All samples beside
+    it are moved together, while offsets are taken to err by themselves: each is made as unsure as leaves their mean so.
+    Of those where both are one line nothing is said.
     """
     variance = np.zeros(len(index))
     for offset in track.members[:, index]:
@@ -93,7 +99,10 @@ def pulled(track: Track, index: NDArray[np.int64], others: Sequence[Neighbour]) 
             squared = np.where(np.isfinite(away), away, np.inf) ** 2
             spread = BLUR_PX**2 + np.maximum(track.width[index], other.width) ** 2 / 12
             share = np.exp(-0.25 * squared / spread) * (1 + 0.5 * np.minimum(squared, BESIDE_PX**2) / spread)
-            variance += (np.minimum(share, 1.0) * other.unsure[nearest]) ** 2
+            apart = np.abs(away) > _merged(track.width[index], other)
+            own = np.where(apart, np.minimum(share, 1.0) * other.unsure[nearest], 0.0) ** 2
+            # so many samples err alike: together they are no surer than one
+            variance += own * max(1.0, float(own.sum()) ** 2 / max(float(own @ own), 1e-300))
     return np.asarray(np.sqrt(variance))
 
 
