@@ -65,8 +65,12 @@ def find_even(
         return None
     results.sort(key=merit, reverse=True)
     if not conductor.measured:
-        # known to a pixel is enough to keep out of its way
-        return results[0]
+        # known to a pixel is enough to keep out of its way, and one that has not settled is not
+        best = results[0]
+        if best.solution.converged:
+            return best
+        start = best.solution.theta
+        return refine(image, conductor, survey, registered, start, [], remaining_stages(best), best.track) or best
     # what is left open by the clear part of the best one, and other candidates that are nearly as good
     again = [results[0], *(r for r in results[1:] if _rivalry(image, results[0], r) > RIVAL_WORTH_A_LOOK)]
     refined = [
@@ -105,7 +109,7 @@ def _candidates(
 ) -> list[Candidate]:
     shelf = Shelf() if shelf is None else shelf
     library = shelf.take(conductor.id, view, survey.sag_range, conductor.swing_max, survey.attachment_u)
-    return search(image, library, survey.swing_u, keep)
+    return search(image, library, survey.swing_u, keep, survey.swing_mean)
 
 
 def _start(registered: Registered, candidate: Candidate) -> FloatArray:

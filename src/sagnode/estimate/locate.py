@@ -17,6 +17,7 @@ from sagnode.estimate.load import settle_loads
 from sagnode.estimate.matched import Matched, is_wire, looked_at, measured_share
 from sagnode.estimate.refinement import STAGES, completed, narrowed, refine, remaining_stages, survey_of
 from sagnode.estimate.register import Registered
+from sagnode.estimate.wind import in_one_wind, sought_again
 from sagnode.match.library import Shelf
 from sagnode.match.masks import runs_near
 from sagnode.site import Site, SiteConductor
@@ -41,14 +42,15 @@ def locate(
     found on one wire, one of them is looked for beside it. Those that run close to another are looked for and refined
     once more in the picture without the others, so that a neighbour cannot pull them, and all are completed. Then
     they are compared: their swings, and what is left over, say whether the load of any may be uneven; what is followed
-    under an uneven load is kept clear of the others likewise. Last, those that could as well be each other are marked,
-    and what hangs evenly is solved for once more with its offsets as uncertain as all that is known by then leaves
-    them.
+    under an uneven load is kept clear of the others likewise. Those that could as well be each other are marked. Last,
+    what the others say of the wind makes surer what a picture leaves open, and what hangs evenly is solved for once
+    more with its offsets as uncertain as all that is known by then leaves them.
 
     ``shelf`` holds the libraries that frames of the same burst have drawn before. ``shared`` is what neighbouring
     offsets share, px and relative to their own, where the frame itself cannot tell.
     """
     found_alone = {c.id: find_even(image, c, survey_of(c, registered), registered, shelf) for c in site.conductors}
+    found_alone = sought_again(image, site.conductors, registered, found_alone, shelf)
     told_apart = tell_apart(image, site.conductors, registered, found_alone, shelf)
     found = find_beside(image, site.conductors, registered, told_apart, shelf)
     measured = [c for c in site.conductors if c.measured]
@@ -77,8 +79,8 @@ def locate(
     known = {c.id: found[c.id] for c in site.conductors if not c.measured}
     clear = {name: None if own.crowded else own for name, own in located.items()}
     doubtful = exchangeable(site.conductors, registered, known | clear)
-    last = conclude(located, registered, shared)
-    return {name: replace(own, or_of=doubtful.get(name, "")) for name, own in last.items()}
+    marked = {name: replace(own, or_of=doubtful.get(name, "")) for name, own in located.items()}
+    return conclude(in_one_wind(image, measured, registered, marked, known), registered, shared)
 
 
 def _measured(

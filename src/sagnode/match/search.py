@@ -42,7 +42,9 @@ class Candidate:
     visible: float
 
 
-def search(image: GreyImage, library: Library | None, swing_u: float, keep: int = 8) -> list[Candidate]:
+def search(
+    image: GreyImage, library: Library | None, swing_u: float, keep: int = 8, swing_mean: float = 0.0
+) -> list[Candidate]:
     """Coarse search over sag × swing; the best, well separated candidates, best first.
 
     Args:
@@ -50,6 +52,7 @@ def search(image: GreyImage, library: Library | None, swing_u: float, keep: int 
         library: the conductor's curves; None where there is nothing to see.
         swing_u: standard uncertainty of the swing's prior, rad.
         keep: most candidates.
+        swing_mean: mean of that prior, rad.
     """
     if library is None:
         return []
@@ -66,7 +69,8 @@ def search(image: GreyImage, library: Library | None, swing_u: float, keep: int 
     everything = max(float(np.sum(trust(library.spread))), 1e-6)
     scores, visible = total / np.maximum(count, 1e-6), count / everything
     # the prior on swing decides where the view hardly sees it, and keeps clutter at extreme swings in its place
-    prior = SWING_PRIOR * 0.5 * (swings / swing_u) ** 2
+    expected = (swing_mean, swing_u)
+    prior = _swing_penalty(swings, expected)
     found = _peaks(np.where(visible >= LEAST_SEEN * visible.max(initial=0.0), scores - prior, -np.inf), POLISHED)
     if not len(found):
         return []
@@ -74,9 +78,9 @@ def search(image: GreyImage, library: Library | None, swing_u: float, keep: int 
     cell = np.array([np.diff(sags[:2]).item(), np.diff(swings[:2]).item() if len(swings) > 1 else 0.0])
     for width in POLISH:
         best_sags, best_swings, score, share = _polished(
-            image, library, (best_sags, best_swings), width * cell, swing_u
+            image, library, (best_sags, best_swings), width * cell, expected
         )
-    order = np.argsort(SWING_PRIOR * 0.5 * (best_swings / swing_u) ** 2 - score)
+    order = np.argsort(_swing_penalty(best_swings, expected) - score)
     candidates = []
     for k in order[_distinct(library, best_sags[order], best_swings[order])][:keep]:
         own = (float(value[k]) for value in (best_sags, best_swings, score, share / everything))
@@ -85,11 +89,15 @@ def search(image: GreyImage, library: Library | None, swing_u: float, keep: int 
 
 
 def _polished(
-    image: GreyImage, library: Library, start: tuple[FloatArray, FloatArray], reach: FloatArray, swing_u: float
+    image: GreyImage,
+    library: Library,
+    start: tuple[FloatArray, FloatArray],
+    reach: FloatArray,
+    expected: tuple[float, float],
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """The best of the curves about each of some (K,): their sags, swings, scores and weights in the frame (K,).
 
-    ``reach`` is how far to look in sag (m) and swing (rad).
+    ``reach`` is how far to look in sag (m) and swing (rad), ``expected`` the swing's prior, mean and deviation.
     """
     steps = np.linspace(-1.0, 1.0, 5)
     aside = steps if reach[1] > 0 else np.zeros(1)
@@ -100,11 +108,16 @@ def _polished(
     places = places_of(library.view, library.family, sags.ravel(), swings.ravel(), every, library.spread)
     total, count = _sums(image, places)
     score = (total / np.maximum(count, 1e-6)).reshape(sags.shape)
-    ranked = score - SWING_PRIOR * 0.5 * (swings / swing_u) ** 2
+    ranked = score - _swing_penalty(swings, expected)
     best = np.argmax(ranked, axis=1)[:, None]
     parts = (sags, swings, score, count.reshape(sags.shape))
     polished = [np.take_along_axis(part, best, axis=1)[:, 0] for part in parts]
     return polished[0], polished[1], polished[2], polished[3]
+
+
+def _swing_penalty(swings: FloatArray, expected: tuple[float, float]) -> FloatArray:
+    """What some swings (...), rad, must earn by a better response, grey levels."""
+    return np.asarray(SWING_PRIOR * 0.5 * ((swings - expected[0]) / expected[1]) ** 2)
 
 
 def _distinct(library: Library, sags: FloatArray, swings: FloatArray) -> NDArray[np.intp]:
