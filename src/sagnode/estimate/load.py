@@ -42,6 +42,9 @@ ONE_STEP = 50.0
 """The same, beyond which one linear step from an even curve says nothing about the uneven one."""
 FOLLOWING = 4
 """Rounds of the first refinement in which an uneven curve grows along the wire."""
+SHOWS_MORE = 1.05
+"""Factor by which the picture must show more along a curve that followed an uneven load, for its offsets to count
+against an even one that was found without them."""
 TILTS = (-0.6, -0.3, 0.3, 0.6)
 """First terms of an uneven load that are searched where no even curve is found."""
 
@@ -231,6 +234,9 @@ def _as_uneven(registered: Registered, each: Doubt, found: Matched | None) -> li
         return each.as_uneven()
     if each.even is None or not each.strains:
         return [explanation(0.0, *found.swing, each.swing_u)]
+    if found.response < SHOWS_MORE * each.even.response and each.as_uneven():
+        # the even curve lies on as much of a wire: what it leaves over itself is as good a witness
+        return each.as_uneven()
     # both explanations of the same offsets; an even load that sees little of the wire must not choose what to explain
     steps = STAGES[-1].iterations
     asked = (each.survey, each.even.solution.theta, registered.camera, found.offsets, steps)
