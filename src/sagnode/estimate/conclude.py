@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from typing import Literal
 
 import numpy as np
 
@@ -33,6 +34,7 @@ STAYS = 2.0
 same offsets: what moves farther hung on a few of them."""
 
 
+_SIDES: tuple[tuple[int, Literal["left", "right"]], ...] = ((-1, "left"), (1, "right"))
 UNFORETOLD = 2 / np.pi
 """Variance over the square of a range at which a normal density is, in its middle, what an even one is."""
 
@@ -61,7 +63,8 @@ def _is_settled(match: Matched) -> bool:
 
     What is too uncertain to be told is not made certain by its own offsets: of a few, one may foretell the other.
     """
-    if match.survey.load_u or match.crowded or not match.solution.converged:
+    settled = match.solution.converged and match.solution.curve.in_order
+    if match.survey.load_u or match.crowded or not settled:
         return False
     variance = sum(float(part[SAG, SAG]) for part in match.solution.information(match.survey).values())
     return variance <= (SAG_U_MAX * match.sag[0]) ** 2
@@ -112,15 +115,21 @@ def foretold_by_others(solution: Solution) -> tuple[FloatArray, FloatArray]:
     weighed = inverse @ solution.jacobian
     precision = inverse - weighed @ solution.covariance @ weighed.T
     pull = inverse @ solution.residual
-    aside, variance = np.zeros(count), np.full(count, np.inf)
-    for n in range(count):
-        near = np.flatnonzero(np.abs(arc - arc[n]) <= CORRELATION_LENGTH_PX)
-        own = int(np.searchsorted(near, n))
-        covariance = solved(precision[np.ix_(near, near)], np.eye(len(near)))
-        # rounding makes a group's covariance anything where the others say nothing of it
-        if (np.diag(covariance) > 0).all():
-            aside[n], variance[n] = covariance[own] @ pull[near], covariance[own, own]
-    return aside, np.maximum(variance - white * solution.inflation, 0.0)
+    first, beyond = (np.searchsorted(arc, arc + side * CORRELATION_LENGTH_PX, which) for side, which in _SIDES)
+    group = first[:, None] + np.arange(np.max(beyond - first))
+    member = group < beyond[:, None]
+    group = np.minimum(group, count - 1)
+    # groups of different sizes are filled up with what has nothing to do with anything
+    of_group = precision[group[:, :, None], group[:, None]] * (member[:, :, None] & member[:, None])
+    of_group += np.eye(group.shape[1]) * ~member[:, :, None]
+    covariance = solved(of_group, np.broadcast_to(np.eye(group.shape[1]), of_group.shape))
+    every = np.arange(count)
+    own = covariance[every, every - first]
+    aside, variance = np.sum(own * np.where(member, pull[group], 0.0), axis=1), own[every, every - first]
+    # rounding makes a group's covariance anything where the others say nothing of it
+    told = (np.diagonal(covariance, axis1=1, axis2=2) > 0).all(axis=1)
+    variance = np.where(told, variance, np.inf)
+    return np.where(told, aside, 0.0), np.maximum(variance - white * solution.inflation, 0.0)
 
 
 def _agree(before: Solution, last: Solution) -> bool:

@@ -21,6 +21,7 @@ import numpy as np
 from sagnode.estimate.joint import Solution
 from sagnode.estimate.offsets import CORRELATED_PX, CORRELATED_SHARE, CORRELATION_LENGTH_PX, CurveObservations
 from sagnode.geometry.camera import FloatArray
+from sagnode.native import kernels
 from sagnode.survey import CAMERA, Survey
 
 LEVELS_PX = (0.02, 0.025, 0.03, 0.04, 0.055, 0.075, 0.1)
@@ -44,8 +45,7 @@ def evidence_of_sharing(survey: Survey, solution: Solution) -> FloatArray:
     curve = solution.curve
     free = survey.unknowns()
     rows = np.column_stack([solution.jacobian[:, free], solution.residual])
-    whitened, spread = _whitened(curve, solution.white, rows)
-    products = np.swapaxes(whitened, 1, 2) @ whitened
+    products, spread = _products(curve, solution.white, rows)
     known = survey.prior_information()
     target = known @ survey.prior_mean()
     known[CAMERA, CAMERA] += solution.camera.precision
@@ -59,6 +59,22 @@ def evidence_of_sharing(survey: Survey, solution: Solution) -> FloatArray:
     return np.asarray(-0.5 * (spread + freedom + products[:, -1, -1] - np.sum(scale * pull * step, axis=1)))
 
 
+def _products(curve: CurveObservations, white: FloatArray, rows: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Products (G, K, K) of the columns of rows (M, K) whitened by every member of the grid, and log det (G,)."""
+    if kernels is None:
+        whitened, spread = _whitened(curve, white, rows)
+        return np.swapaxes(whitened, 1, 2) @ whitened, spread
+    products, spread = np.empty((len(GRID), rows.shape[1], rows.shape[1])), np.empty(len(GRID))
+    own = (np.ascontiguousarray(part, dtype=np.float64) for part in (_kept(curve), curve.sigma, white, rows))
+    kernels.shared_products(*own, GRID, products, spread)
+    return products, spread
+
+
+def _kept(curve: CurveObservations) -> FloatArray:
+    """What an error keeps of itself from one offset to the next (M,); nothing at the first."""
+    return np.asarray(np.exp(-np.diff(curve.arc, prepend=-np.inf) / CORRELATION_LENGTH_PX))
+
+
 def _whitened(curve: CurveObservations, white: FloatArray, rows: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Rows (M, K) whitened by the offsets' covariance for every member of the grid (G, M, K), and its log det (G,).
 
@@ -66,7 +82,7 @@ def _whitened(curve: CurveObservations, white: FloatArray, rows: FloatArray) -> 
     follows it from one offset to the next, and its normalised innovations are the whitened rows.
     """
     shared = GRID[:, :1] ** 2 + (GRID[:, 1:] * curve.sigma) ** 2
-    kept = np.exp(-np.diff(curve.arc, prepend=-np.inf) / CORRELATION_LENGTH_PX)
+    kept = _kept(curve)
     state, variance = np.zeros((len(GRID), rows.shape[1])), np.ones(len(GRID))
     whitened, spread = np.empty((len(GRID), *rows.shape)), np.zeros(len(GRID))
     for n, row in enumerate(rows):

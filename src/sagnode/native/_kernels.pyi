@@ -96,6 +96,15 @@ def localise(
     places, inside (S, M) bool.
     """
 
+def shared_products(
+    kept: Array, sigma: Array, white: Array, rows: Array, grid: Array, products: Array, spread: Array
+) -> None:
+    """Products of rows (M, K) whitened by every size of a shared error: :mod:`sagnode.estimate.shared`.
+
+    grid (G, 2) has the sizes; the results go into products (G, K, K) and spread (G,), logarithms of determinants. kept,
+    sigma and white are (M,); all are of double precision and contiguous.
+    """
+
 def near_polyline(pixels: Array, normal: Array, reach: Array, other: Array, masked: Array) -> None:
     """:func:`sagnode.match.masks.near`, added to masked (M,) bool.
 

@@ -67,13 +67,14 @@ static PyMethodDef functions[] = {
     {"curve_terms", (PyCFunction)(void (*)(void))curve_terms, METH_FASTCALL, NULL},
     {"solve_camera", (PyCFunction)(void (*)(void))solve_camera, METH_FASTCALL, NULL},
     {"solve", (PyCFunction)(void (*)(void))solve, METH_FASTCALL, NULL},
+    {"shared_products", (PyCFunction)(void (*)(void))shared_products, METH_FASTCALL, NULL},
     {"quantities", (PyCFunction)(void (*)(void))quantities, METH_FASTCALL, NULL},
     {"clearance_place_u", (PyCFunction)(void (*)(void))clearance_place_u, METH_FASTCALL, NULL},
     {NULL, NULL, 0, NULL},
 };
 
 /* Bump with every change of a function's arguments or meaning: see INTERFACE in __init__.py. */
-#define INTERFACE 12
+#define INTERFACE 13
 
 static int fill(PyObject *module) { return PyModule_AddIntConstant(module, "INTERFACE", INTERFACE); }
 
