@@ -102,13 +102,13 @@ def find_beside(
         shelf: libraries that were drawn before.
     """
     told = dict(found)
-    if not any(disturbed(told[c.id], _others(told, c)) for c in conductors):
+    if not any(disturbed(told[c.id], _others(told, c), settles=c.measured) for c in conductors):
         return told
     surest = sorted(conductors, key=lambda c: _strength(told[c.id]), reverse=True)
     taken: list[Matched] = []
     for conductor in surest:
         own = told[conductor.id]
-        if taken and disturbed(own, taken):
+        if taken and disturbed(own, taken, settles=conductor.measured):
             own = _again(image, conductor, registered, own, taken, shelf, anywhere=True)
         told[conductor.id] = own
         if own is not None and _stands_out(without(image, own, taken).image, own):
@@ -116,16 +116,20 @@ def find_beside(
     for conductor in surest:
         own = told[conductor.id]
         others = [each for each in _others(told, conductor) if any(each is one for one in taken)]
-        if disturbed(own, others):
+        if disturbed(own, others, settles=conductor.measured):
             again = _again(image, conductor, registered, own, others, shelf, anywhere=False)
             taken = [again if each is own and again is not None else each for each in taken]
             told[conductor.id] = again
     return told
 
 
-def disturbed(own: Matched | None, others: Sequence[Matched]) -> bool:
-    """Whether others may have kept a conductor from being found, or from being found in its place."""
-    if own is None or not own.solution.converged:
+def disturbed(own: Matched | None, others: Sequence[Matched], *, settles: bool = True) -> bool:
+    """Whether others may have kept a conductor from being found, or from being found in its place.
+
+    One that ``settles`` unless something disturbs it is measured; the place of those that are only known about is told
+    by one refinement, which seldom does.
+    """
+    if own is None or (settles and not own.solution.converged):
         return bool(others)
     clear = float(np.mean(own.observed.usable)) >= CLEAR_SHARE
     return _share_near(own, others, CLOSE_PX if clear else LOOKED_AT_PX) > DISTURBED_SHARE
