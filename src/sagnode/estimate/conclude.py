@@ -34,6 +34,9 @@ STAYS = 2.0
 same offsets: what moves farther hung on a few of them."""
 
 
+OF_CURVE, WORTHWHILE = ("pixel noise", "correlated curve error", "texture taken for wire"), 0.15
+"""What offsets add to the uncertainty of sag, and the share of its variance from which judging them anew can change it
+by more than some percent."""
 _SIDES: tuple[tuple[int, Literal["left", "right"]], ...] = ((-1, "left"), (1, "right"))
 UNFORETOLD = 2 / np.pi
 """Variance over the square of a range at which a normal density is, in its middle, what an even one is."""
@@ -61,13 +64,15 @@ def conclude(
 def _is_settled(match: Matched) -> bool:
     """Whether a conductor hangs evenly, as far as is known, and what was seen of itself fixed it.
 
-    What is too uncertain to be told is not made certain by its own offsets: of a few, one may foretell the other.
+    What is too uncertain to be told is not made certain by its own offsets: of a few, one may foretell the other. What
+    is uncertain for other reasons than its offsets is as good as concluded.
     """
     settled = match.solution.converged and match.solution.curve.in_order
     if match.survey.load_u or match.crowded or not settled:
         return False
-    variance = sum(float(part[SAG, SAG]) for part in match.solution.information(match.survey).values())
-    return variance <= (SAG_U_MAX * match.sag[0]) ** 2
+    parts = {name: float(part[SAG, SAG]) for name, part in match.solution.information(match.survey).items()}
+    variance, of_curve = sum(parts.values()), sum(parts.get(name, 0.0) for name in OF_CURVE)
+    return variance <= (SAG_U_MAX * match.sag[0]) ** 2 and of_curve > WORTHWHILE * variance
 
 
 def _judged(match: Matched, registered: Registered) -> Solution:

@@ -23,7 +23,8 @@ weight it is 0.01 before looking. Half of the views along the line leave less th
 IN_FIVE = 0.5
 """Share of what such a load would typically move the numbers that counts as standard uncertainty: a load that moves
 them two and a half times as far is then off by no more than five."""
-NEGLIGIBLE = 1e-3
+MOST = 8
+"""Kinds of load that are reckoned with, the likeliest."""
 
 
 @dataclass(frozen=True)
@@ -62,7 +63,7 @@ def unexcluded(solution: Solution, survey: Survey, chance: float, swing: tuple[f
     own = replace(survey, load_u=LOAD_U, load_prior=any_single(), swing_mean=expected, swing_u=expected_u)
     log, theta, covariance = linear(own, solution)
     weight = np.exp(log - log.max())
-    kept = weight > NEGLIGIBLE
+    kept = np.argsort(log)[::-1][:MOST]
     weight, theta, covariance = weight[kept], theta[kept], covariance[kept]
     # how heavy such a load is, is open too: to both sides as far as it makes the sag less sure than an even load does
     sag_u = np.sqrt(covariance[:, SAG, SAG])
