@@ -127,6 +127,20 @@ def test_even_wires_on_a_span_seen_along_the_line_are_not_suspected() -> None:
         assert abs(reading.estimates["sag"].value - true[reading.conductor]) < 3 * reading.estimates["sag"].u
 
 
+def test_even_wires_at_dusk_are_not_suspected_for_what_a_free_curve_finds() -> None:
+    """In the dark a curve that is free to bend shows as much of nearly nothing as the even one does."""
+    scene = demo_site().scene
+    site = load_site(load_span(site_directory() / "span.toml").span)
+    swings = {"L1": 3.18, "L2": 2.93, "L3": 2.11, "earth": 3.22}
+    wires = {c.id: WireState(0.5 * (c.sag_min_m + c.sag_max_m), swings[c.id]) for c in scene.surveyed.conductors}
+    rendered = render(scene, Moment(wires, seed=1, sun_elevation_deg=-4.5))
+    readings = measure_burst(site, [rendered.image])
+    assert {r.validity for r in readings} == {Validity.GOOD}
+    for reading in readings:
+        sag = reading.estimates["sag"]
+        assert abs(sag.value - rendered.truth["conductors"][reading.conductor]["sag_m"]) < 3 * sag.u
+
+
 def test_a_single_weight_shows_before_ten_free_terms_do() -> None:
     odds = {}
     for weight in (0.0, 0.08):
