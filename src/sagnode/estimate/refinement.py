@@ -36,7 +36,7 @@ class Stage:
     """Most steps of the joint estimate."""
 
 
-STAGES = (Stage(8.0, 8.0, 2, 6, 5), Stage(5.0, 8.0, 4, 1, 6), Stage(3.0, 20.0, 8, 1, 12))
+STAGES = (Stage(8.0, 8.0, 2, 6, 5), Stage(5.0, 8.0, 4, 1, 6), Stage(3.0, 20.0, 8, 1, 24))
 """From the first refinement to the last, which knows the curve to a pixel and follows the wire where it is faint."""
 FOLLOWED_EXTENT, FOLLOWED_BLOCKS = 0.6, 0.75
 """A wire has been followed where its blocks reach over this share of the visible span, are this share of all blocks,"""
