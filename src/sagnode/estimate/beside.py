@@ -126,8 +126,8 @@ def find_beside(
 def disturbed(own: Matched | None, others: Sequence[Matched], *, settles: bool = True) -> bool:
     """Whether others may have kept a conductor from being found, or from being found in its place.
 
-    One that ``settles`` unless something disturbs it is measured; the place of those that are only known about is told
-    by one refinement, which seldom does.
+    One that is measured ``settles`` unless something disturbs it. Of those that are only known about a pixel is enough,
+    and often more cannot be had: that they do not settle is no sign.
     """
     if own is None or (settles and not own.solution.converged):
         return bool(others)

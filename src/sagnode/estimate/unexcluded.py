@@ -19,7 +19,7 @@ from sagnode.survey import SAG, Survey
 
 EXCLUDED, OPEN = 0.004, 0.008
 """Probability of an uneven load up to which a view has excluded one as far as views do, and from which it has not: of a
-weight it is 0.01 before looking. Half of the views along the line leave less than 0.003, one in ten more than 0.007."""
+weight it is 0.01 before looking, and most views leave less than half of that."""
 IN_FIVE = 0.5
 """Share of what such a load would typically move the numbers that counts as standard uncertainty: a load that moves
 them two and a half times as far is then off by no more than five."""
