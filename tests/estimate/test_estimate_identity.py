@@ -3,20 +3,18 @@
 from dataclasses import replace
 from pathlib import Path
 
-import cv2
 import pytest
 
-from sagnode.calibrate.files import save_intrinsics
-from sagnode.config.node import Measure
 from sagnode.estimate.even import find_even
 from sagnode.estimate.identity import tell_apart
 from sagnode.estimate.matched import Matched
 from sagnode.estimate.refinement import survey_of
-from sagnode.estimate.register import Registered, register
-from sagnode.pipeline import load_site, measure_frame
+from sagnode.estimate.register import Registered
+from sagnode.pipeline import measure_frame
 from sagnode.scene.presets import simple_scene
 from sagnode.scene.render import Rendered, render
 from sagnode.site import Site
+from sites import registered_site
 
 SAGS = {"L1": 1.9, "L2": 2.3}
 
@@ -29,13 +27,7 @@ def beside(apart_m: float, folder: Path) -> tuple[Site, Rendered, Registered]:
     pair = (first, second.model_copy(update={"near": near, "far": far}))
     span = scene.surveyed.model_copy(update={"conductors": pair})
     picture = render(replace(scene, true=span, surveyed=span), moment)
-    reference, lens = folder / "reference.png", folder / "camera.yaml"
-    cv2.imwrite(str(reference), picture.image)
-    save_intrinsics(lens, scene.intrinsics)
-    camera = span.camera.model_copy(update={"reference_image": reference, "intrinsics": lens})
-    site = load_site(span.model_copy(update={"camera": camera}), Measure())
-    registered, reasons = register(site, picture.image)
-    assert not reasons
+    site, registered = registered_site(span, scene.intrinsics, picture, folder)
     return site, picture, registered
 
 

@@ -8,19 +8,17 @@ import cv2
 import numpy as np
 import pytest
 
-from sagnode.calibrate.files import save_intrinsics
-from sagnode.config.node import Measure
 from sagnode.estimate.even import find_even
 from sagnode.estimate.matched import Matched, looked_at
 from sagnode.estimate.refinement import survey_of
-from sagnode.estimate.register import Registered, register
+from sagnode.estimate.register import Registered
 from sagnode.estimate.wind import in_one_wind, sought_again
-from sagnode.pipeline import load_site
 from sagnode.scene.catenary import WireState
 from sagnode.scene.presets import simple_scene
 from sagnode.scene.render import Rendered, render
 from sagnode.scene.truth import pixel_curve
 from sagnode.site import Site
+from sites import registered_site
 
 ASIDE = {"L1": -2.6, "L2": 2.4, "L3": 6.0}
 """Conductors and where their attachments are, m."""
@@ -42,13 +40,7 @@ def span_of_three(swings: Mapping[str, float], folder: Path) -> tuple[Site, Rend
     picture = render(whole, moment)
     curve = pixel_curve(whole, moment, conductors[-1])
     cv2.polylines(picture.image, [np.rint(curve[int(HIDDEN * len(curve)) :]).astype(np.int32)], False, 190.0, 13)
-    reference, lens = folder / "reference.png", folder / "camera.yaml"
-    cv2.imwrite(str(reference), picture.image)
-    save_intrinsics(lens, scene.intrinsics)
-    camera = span.camera.model_copy(update={"reference_image": reference, "intrinsics": lens})
-    site = load_site(span.model_copy(update={"camera": camera}), Measure())
-    registered, reasons = register(site, picture.image)
-    assert not reasons
+    site, registered = registered_site(span, scene.intrinsics, picture, folder)
     return site, picture, registered
 
 
