@@ -14,10 +14,12 @@ from sagnode.config.load import load_span
 from sagnode.estimate.even import find_even
 from sagnode.estimate.joint import solve
 from sagnode.estimate.judge import judge
+from sagnode.estimate.load_kinds import LOAD_U
 from sagnode.estimate.matched import Matched, is_wire, looked_at, share_standing_out, visible_share
 from sagnode.estimate.refinement import completed, survey_of
 from sagnode.estimate.register import register
 from sagnode.estimate.tell import propagate
+from sagnode.geometry.single_load import single_load_terms
 from sagnode.match.sight import Sighting
 from sagnode.pipeline import load_site
 from sagnode.quality import Cause, Validity
@@ -26,7 +28,7 @@ from sagnode.scene.render import render
 from sagnode.scene.site import demo_site, site_directory
 from sagnode.scene.spec import Moment
 from sagnode.site import Site, SiteConductor
-from sagnode.survey import SAG
+from sagnode.survey import LOAD, SAG
 
 HIDDEN_FROM = 0.2
 """Share of the span beyond which the wire is painted over."""
@@ -194,7 +196,65 @@ def test_an_uneven_load_is_told_only_in_a_scene_that_is_surely_the_surveyed_one(
 ) -> None:
     site, conductor, match = along_the_line()
     estimates, _ = propagate(site, conductor, match)
-    uneven = replace(match, survey=replace(match.survey, load_u=0.45))
+    uneven = replace(match, survey=replace(match.survey, load_u=LOAD_U))
     for found, expected in ((match, False), (uneven, refused)):
         _, reasons = judge(site, conductor, found, estimates, share)
         assert (Cause.LANDMARKS_LOST in [r.cause for r in reasons]) is expected
+
+
+@pytest.mark.parametrize(("share", "refused"), [(0.8, False), (0.6, True)])
+def test_an_uneven_load_is_told_only_where_the_wire_shows_nearly_all_along(share: float, refused: bool) -> None:
+    site, conductor, match = along_the_line()
+    estimates, _ = propagate(site, conductor, match)
+    uneven = replace(match, survey=replace(match.survey, load_u=LOAD_U))
+    standing_out = Sighting(20.0, np.linspace(0.0, 1.0, len(match.track.t)) < share)
+    assert judge(site, conductor, replace(match, sighting=standing_out), estimates)[0] is Validity.GOOD
+    blocks = np.linspace(0.0, 1.0, len(match.observed.t)) < share
+    for little in (
+        replace(uneven, sighting=standing_out),
+        of_blocks_alone(uneven, blocks),
+    ):
+        _, reasons = judge(site, conductor, little, estimates)
+        assert (Cause.NO_CONDUCTOR in [r.cause for r in reasons]) is refused
+
+
+@pytest.mark.parametrize(("count", "refused"), [(22, False), (18, True)])
+def test_an_uneven_load_is_told_only_by_more_blocks_than_it_has_unknowns(count: int, refused: bool) -> None:
+    site, conductor, match = along_the_line()
+    estimates, _ = propagate(site, conductor, match)
+    uneven = replace(match, survey=replace(match.survey, load_u=LOAD_U))
+    usable = np.flatnonzero(match.observed.usable)
+    few = np.isin(np.arange(len(match.observed.t)), usable[np.linspace(0, len(usable) - 1, count).astype(int)])
+    assert judge(site, conductor, of_blocks_alone(match, few), estimates)[0] is Validity.GOOD
+    _, reasons = judge(site, conductor, of_blocks_alone(uneven, few), estimates)
+    assert (Cause.TOO_LITTLE_VISIBLE in [r.cause for r in reasons]) is refused
+
+
+def of_blocks_alone(match: Matched, blocks: NDArray[np.bool_]) -> Matched:
+    """As if of all blocks (M,) only these had shown the wire."""
+    usable = match.observed.usable
+    solution = replace(match.solution, residual=match.solution.residual[blocks[usable]])
+    return replace(match, observed=replace(match.observed, usable=usable & blocks), solution=solution)
+
+
+@pytest.mark.parametrize(
+    ("terms", "refused"),
+    [
+        (np.zeros(10), False),
+        (single_load_terms(0.15, 0.3, 0.01, 10), False),
+        (single_load_terms(0.4, 0.7, 0.5, 10), False),
+        # what hangs from one end alone, and what would have to pull upwards
+        (single_load_terms(0.5, 0.94, 0.01, 10), True),
+        (-single_load_terms(0.3, 0.3, 0.1, 10), True),
+    ],
+)
+def test_a_wire_under_a_load_that_nothing_makes_is_another_wire(terms: NDArray[np.float64], refused: bool) -> None:
+    site, conductor, match = along_the_line()
+    estimates, _ = propagate(site, conductor, match)
+    theta = match.solution.theta.copy()
+    theta[LOAD] = terms
+    uneven = replace(match, survey=replace(match.survey, load_u=LOAD_U), solution=replace(match.solution, theta=theta))
+    validity, reasons = judge(site, conductor, uneven, estimates)
+    assert (Cause.AMBIGUOUS in [r.cause for r in reasons]) is refused
+    assert validity is (Validity.INVALID if refused else Validity.QUESTIONABLE)
+    assert len(reasons) == len(set(reasons))

@@ -8,7 +8,17 @@ import cv2
 import numpy as np
 
 from sagnode.capture.port import GreyImage
-from sagnode.estimate.matched import SCORE_MIN, SUPPORT_MIN, Matched, attachment_z, is_wire, support, visible_share
+from sagnode.estimate.matched import (
+    SCORE_MIN,
+    SUPPORT_MIN,
+    Matched,
+    attachment_z,
+    is_wire,
+    load_z,
+    shown_share,
+    support,
+    visible_share,
+)
 from sagnode.message import Estimate
 from sagnode.quality import Cause, Reason, Validity
 from sagnode.site import Site, SiteConductor
@@ -26,12 +36,18 @@ half could be seen are lost by that."""
 UNEVEN_VISIBLE_MIN = 0.42
 """The same under an uneven load: nobody knows how a wire goes on where it is not seen. With less, errors were twice as
 large as stated; from here on as stated."""
+UNEVEN_SHOWN_MIN = 0.7
+"""Share of the curve that must stand out, and of its blocks that must show a wire, under an uneven load: a wire shows
+nearly all along, while ten terms bend a curve from one leg of a tower, or another line's wire, to the next."""
+UNEVEN_BLOCKS_MIN = 20
+"""Blocks that must show a wire there: fewer leave little that could contradict the twelve unknowns of its shape."""
 UNEVEN_LANDMARKS_MIN = 0.6
 """Share of the landmarks that must be recognised there: in another scene, or a mirrored one, half may fit by chance."""
 SAG_U_MAX = 0.04
 """Relative standard uncertainty of sag above which linear propagation no longer holds."""
 PRIOR_Z_MAX = 5.0
-"""Corrections to the survey beyond this many of its own standard uncertainties mean another wire or a wrong survey."""
+"""Corrections to the survey beyond this many of its own standard uncertainties mean another wire or a wrong survey, and
+so do loads this far from what one weight or one stretch of ice makes."""
 RIVAL_MAX = 0.8
 """A different curve that responds this strongly where it parts from the best leaves open which one is meant."""
 
@@ -91,7 +107,8 @@ def judge(
         *_not_this_scene(found, landmarks),
     ]
     if invalid:
-        return Validity.INVALID, invalid
+        # several of them name the load
+        return Validity.INVALID, list(dict.fromkeys(invalid))
     doubtful = [*_doubts(site, found), *_exceeded(site, estimates)]
     return (Validity.QUESTIONABLE, doubtful) if doubtful else (Validity.GOOD, [])
 
@@ -110,6 +127,22 @@ def _not_a_wire(found: Matched) -> list[Reason]:
     if visible < needed:
         text = f"only {100 * visible:.0f} % of the span is visible (needs {100 * needed:g} %)"
         return [Reason(Cause.TOO_LITTLE_VISIBLE, text), *_ice(found)]
+    return _hardly_shown(found) if found.survey.load_u else []
+
+
+def _hardly_shown(found: Matched) -> list[Reason]:
+    """What an uneven load bends to, where that is hardly a wire."""
+    blocks = len(found.solution.residual)
+    if blocks < UNEVEN_BLOCKS_MIN:
+        text = f"the wire hangs as under an uneven load, and only {blocks} places show it (needs {UNEVEN_BLOCKS_MIN})"
+        return [Reason(Cause.TOO_LITTLE_VISIBLE, text), *_ice(found)]
+    shown = min(support(found), shown_share(found))
+    if shown < UNEVEN_SHOWN_MIN:
+        text = (
+            "only a curve that an uneven load bends lies on anything like a wire, and that shows one in"
+            f" {100 * shown:.0f} % of it (needs {100 * UNEVEN_SHOWN_MIN:g} %)"
+        )
+        return [Reason(Cause.NO_CONDUCTOR, text), *_ice(found)]
     return []
 
 
@@ -131,6 +164,13 @@ def _not_this_conductor(conductor: SiteConductor, found: Matched, sag: Estimate)
             " another wire, or a wrong survey"
         )
         reasons.append(Reason(Cause.AMBIGUOUS, text))
+    strange = load_z(found) if found.survey.load_u else 0.0
+    if strange > PRIOR_Z_MAX:
+        text = (
+            f"the curve lies on a wire under a load alone that is {strange:.1f} standard deviations from what a weight"
+            " or ice on a part of the span makes; another wire, or a wrong survey"
+        )
+        reasons += [Reason(Cause.AMBIGUOUS, text), *_ice(found)]
     low, high = conductor.survey.sag_range
     if not low - 2 * sag.u <= sag.value <= high + 2 * sag.u:
         text = f"sag {sag.value:.2f} m is outside the possible {low:g} to {high:g} m of the survey"

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from sagnode.capture.port import GreyImage
 from sagnode.estimate.joint import Solution
+from sagnode.estimate.load_kinds import any_single
 from sagnode.estimate.offsets import CurveObservations
 from sagnode.estimate.unexcluded import Loads
 from sagnode.geometry.camera import FloatArray
@@ -16,7 +17,7 @@ from sagnode.match.refine import Observed
 from sagnode.match.sight import Sighting, sight
 from sagnode.match.templates import View
 from sagnode.match.track import Track
-from sagnode.survey import ATTACHMENTS, SAG, SWING, Survey
+from sagnode.survey import ATTACHMENTS, LOAD, SAG, SWING, Survey
 
 SCORE_MIN = 8.0
 """Robust z-score over the shifted curves from which a wire is proven,"""
@@ -116,6 +117,12 @@ def measured_share(matched: Matched) -> float:
     return _share(matched.track, _measured_at(matched))
 
 
+def shown_share(matched: Matched) -> float:
+    """Share of the blocks that nothing hides in which a wire was found near the curve."""
+    clear = ~matched.observed.masked
+    return float(matched.observed.usable[clear].mean()) if clear.any() else 0.0
+
+
 def _measured_at(matched: Matched) -> NDArray[np.bool_]:
     """At which samples (N,) of the track a block shows the wire on the curve."""
     use = matched.observed.usable
@@ -136,3 +143,10 @@ def _share(track: Track, some: NDArray[np.bool_]) -> float:
 def attachment_z(matched: Matched) -> float:
     """Largest correction to the surveyed attachments, in units of their standard uncertainty."""
     return float(np.max(np.abs(matched.solution.theta[ATTACHMENTS])) / max(matched.survey.attachment_u, 1e-6))
+
+
+def load_z(matched: Matched) -> float:
+    """How far an uneven load lies from what one weight or one stretch of ice makes, in standard deviations of those."""
+    prior = any_single()
+    apart = matched.solution.theta[LOAD] - prior.mean
+    return float(np.sqrt(apart @ prior.information @ apart))
