@@ -70,7 +70,8 @@ def _is_settled(match: Matched) -> bool:
     settled = match.solution.converged and match.solution.curve.in_order
     if match.survey.load_u or match.crowded or not settled:
         return False
-    parts = {name: float(part[SAG, SAG]) for name, part in match.solution.information(match.survey).items()}
+    pieces = match.solution.information(match.survey, slice(SAG, SAG + 1))
+    parts = {name: float(part[0, 0]) for name, part in pieces.items()}
     variance, of_curve = sum(parts.values()), sum(parts.get(name, 0.0) for name in OF_CURVE)
     return variance <= (SAG_U_MAX * match.sag[0]) ** 2 and of_curve > WORTHWHILE * variance
 
@@ -114,9 +115,8 @@ def foretold_by_others(solution: Solution) -> tuple[FloatArray, FloatArray]:
     of what offsets vary by before looking, the residuals r of a group N about what all others foretell are
     ``(Q_NN)⁻¹ (C⁻¹r)_N`` with the covariance ``(Q_NN)⁻¹``.
     """
-    white, correlated = solution.noise
-    arc, count = solution.curve.arc, len(white)
-    inverse = solved((np.diag(white) + correlated) * solution.inflation, np.eye(count))
+    white, arc, count = solution.white, solution.curve.arc, len(solution.white)
+    inverse = solution.precision / solution.inflation
     weighed = inverse @ solution.jacobian
     precision = inverse - weighed @ solution.covariance @ weighed.T
     pull = inverse @ solution.residual

@@ -61,20 +61,18 @@ class _Marginal:
 def _marginal(solution: Solution, survey: Survey, own: FloatArray) -> _Marginal:
     """For further unknowns that move the offsets by the columns of ``own`` (M, K)."""
     free = survey.unknowns()
-    white, correlated = solution.noise
-    others = solution.jacobian[:, free]
-    solved = np.linalg.solve(np.diag(white) + correlated, np.column_stack([own, solution.residual, others]))
-    of_own, of_residual, of_others = np.split(solved, [own.shape[1], own.shape[1] + 1], axis=1)
+    others, of_own = solution.jacobian[:, free], solution.precision @ own
+    between, residual = others.T @ of_own, solution.products[:-1, -1]
     known = np.diag(1 / survey.prior_sigma()[free] ** 2)
     known[CAMERA, CAMERA] += solution.camera.precision
-    left = np.linalg.inv(others.T @ of_others + known)
+    left = np.linalg.inv(solution.products[np.ix_(free, free)] + known)
     # what the other unknowns can follow is no evidence, and they follow far: what little still pulls at them counts
-    follow = left @ (others.T @ of_own)
+    follow = left @ between
     target = survey.prior_mean() / survey.prior_sigma() ** 2
     target[CAMERA] += solution.camera.vector
-    rest = others.T @ of_residual[:, 0] + target[free] - known @ solution.theta[free]
-    seen = own.T @ of_own - (others.T @ of_own).T @ follow
-    pull = own.T @ of_residual[:, 0] - follow.T @ rest
+    rest = residual[free] + target[free] - known @ solution.theta[free]
+    seen = own.T @ of_own - between.T @ follow
+    pull = of_own.T @ solution.residual - follow.T @ rest
     swing = float(solution.theta[SWING] + left[SWING] @ rest)
     return _Marginal(seen, pull, (swing, float(left[SWING, SWING])), follow[SWING])
 
@@ -187,8 +185,6 @@ def evidence(solution: Solution, survey: Survey, inflation: float) -> float:
     if solution.log_evidence is not None:
         return solution.log_evidence
     free = survey.unknowns()
-    white, correlated = solution.noise
-    _, spread = np.linalg.slogdet(np.diag(white) + correlated)
     known, mean = survey.prior_information()[np.ix_(free, free)], survey.prior_mean()[free]
     # how much of what was possible before looking is left after it: what freedom costs
     scale = np.sqrt(np.diag(known))
@@ -196,4 +192,4 @@ def evidence(solution: Solution, survey: Survey, inflation: float) -> float:
     _, after = np.linalg.slogdet(solution.covariance[np.ix_(free, free)] * np.outer(scale, scale))
     # the solution's misfit leaves out what depends on what was expected alone
     misfit = solution.misfit + float(mean @ known @ mean)
-    return float(0.5 * (before + after) - 0.5 * (misfit / inflation + spread))
+    return float(0.5 * (before + after) - 0.5 * (misfit / inflation + solution.spread))

@@ -29,6 +29,7 @@ from sagnode.estimate.offsets import (
     words,
 )
 from sagnode.estimate.steps import SETTLED, robust_weights, solve_scaled, solved, step_length
+from sagnode.estimate.whitened import whitened_products
 from sagnode.geometry.camera import FloatArray
 from sagnode.match.robust import median
 from sagnode.native import kernels
@@ -54,6 +55,7 @@ SOURCES = {
     "load prior": LOAD,
 }
 """The prior's sources of uncertainty, by their unknowns."""
+EVERY = slice(0, SIZE)
 
 
 @dataclass(frozen=True)
@@ -99,21 +101,53 @@ class Solution:
         shared = correlated_error(self.curve) if self.shared is None else self.shared
         return self.white, shared
 
-    def information(self, survey: Survey) -> dict[str, FloatArray]:
+    @cached_property
+    def _markov(self) -> tuple[FloatArray, float] | None:
+        """What the next two are, where the offsets share errors with their neighbours alone."""
+        if self.shared is not None or not self.curve.in_order:
+            return None
+        sizes = np.array([[self.curve.shared_px, self.curve.shared_share]])
+        inverse, spread = whitened_products(self.curve, self.white, np.eye(len(self.white)), sizes)
+        return inverse[0], float(spread[0])
+
+    @cached_property
+    def precision(self) -> FloatArray:
+        """Inverse (M, M) of the covariance of the offsets as weighted, px⁻²."""
+        if self._markov is not None:
+            return self._markov[0]
+        white, correlated = self.noise
+        return solved(np.diag(white) + correlated, np.eye(len(white)))
+
+    @cached_property
+    def spread(self) -> float:
+        """Logarithm of the determinant of that covariance."""
+        if self._markov is not None:
+            return self._markov[1]
+        white, correlated = self.noise
+        return float(np.linalg.slogdet(np.diag(white) + correlated)[1])
+
+    @cached_property
+    def products(self) -> FloatArray:
+        """Products (29, 29) of the residuals' derivatives and, last, the residuals, weighed by that inverse."""
+        rows = np.column_stack([self.jacobian, self.residual])
+        return np.asarray(rows.T @ (self.precision @ rows))
+
+    def information(self, survey: Survey, of: slice = EVERY) -> dict[str, FloatArray]:
         """The printed budget: the covariance split by source, Σ (P⁻¹ + Σ JᵀC⁻¹J) Σ term by term, each (28, 28).
 
-        What offsets that are no wire's may do to the estimate comes on top of the covariance.
+        What offsets that are no wire's may do to the estimate comes on top of the covariance. ``of``: of these unknowns
+        alone, where no others are asked for.
         """
         if self.likeliest is not None:
             own, one = self.likeliest
-            return {**one.information(own), "which load": self.covariance - one.covariance}
-        posterior, known = self.covariance, survey.prior_information()
+            return {**one.information(own, of), "which load": (self.covariance - one.covariance)[of, of]}
+        posterior, known = self.covariance[of], survey.prior_information()
         pieces: dict[str, FloatArray] = {}
         for name, part in SOURCES.items():
-            pieces[name] = posterior[:, part] @ known[part, part] @ posterior[part]
-        pieces["landmarks"] = posterior[:, CAMERA] @ self.camera.precision @ posterior[CAMERA]
+            pieces[name] = posterior[:, part] @ known[part, part] @ posterior[:, part].T
+        pieces["landmarks"] = posterior[:, CAMERA] @ self.camera.precision @ posterior[:, CAMERA].T
         white, correlated = self.noise
-        gain = posterior @ np.linalg.solve(np.diag(white) + correlated, self.jacobian).T / self.inflation
+        gain = posterior @ (self.precision @ self.jacobian).T / self.inflation
         pieces["pixel noise"] = (gain * (white * self.inflation)) @ gain.T
         pieces["correlated curve error"] = gain @ (correlated * self.inflation) @ gain.T
         if self.curve.texture is not None:

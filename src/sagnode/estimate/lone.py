@@ -10,7 +10,6 @@ from __future__ import annotations
 import numpy as np
 
 from sagnode.estimate.joint import Solution
-from sagnode.estimate.steps import solved
 from sagnode.geometry.camera import FloatArray
 from sagnode.survey import SAG
 
@@ -25,12 +24,10 @@ def lone_block(solution: Solution) -> FloatArray:
     With C what the offsets err by, P the posterior and ``G = P Jᵀ C⁻¹``, leaving block k out is giving it an unknown
     error of its own: P grows by ``gₖgₖᵀ / sₖ`` with ``sₖ = (C⁻¹ - C⁻¹ J G)ₖₖ``, and θ moves by ``-gₖ (C⁻¹r)ₖ / sₖ``.
     """
-    white, correlated = solution.noise
-    jacobian = solution.jacobian
-    together = np.diag(white) + correlated
-    inverse = solved(together, np.eye(len(together))) / solution.inflation
-    gain = solution.covariance @ (inverse @ jacobian).T
-    own = np.diag(inverse) - np.einsum("mi,im->m", inverse @ jacobian, gain)
+    inverse = solution.precision / solution.inflation
+    weighed = inverse @ solution.jacobian
+    gain = solution.covariance @ weighed.T
+    own = np.diag(inverse) - np.einsum("mi,im->m", weighed, gain)
     own = np.maximum(own, 1e-9 * np.diag(inverse))
     growth = np.sqrt(1 + gain[SAG] ** 2 / own / max(solution.covariance[SAG, SAG], 1e-18))
     k = int(np.argmax(growth))

@@ -19,9 +19,10 @@ from collections.abc import Iterable
 import numpy as np
 
 from sagnode.estimate.joint import Solution
-from sagnode.estimate.offsets import CORRELATED_PX, CORRELATED_SHARE, CORRELATION_LENGTH_PX, CurveObservations
+from sagnode.estimate.offsets import CORRELATED_PX, CORRELATED_SHARE
+from sagnode.estimate.steps import solved_each
+from sagnode.estimate.whitened import whitened_products
 from sagnode.geometry.camera import FloatArray
-from sagnode.native import kernels
 from sagnode.survey import CAMERA, Survey
 
 LEVELS_PX = (0.02, 0.025, 0.03, 0.04, 0.055, 0.075, 0.1)
@@ -45,57 +46,15 @@ def evidence_of_sharing(survey: Survey, solution: Solution) -> FloatArray:
     curve = solution.curve
     free = survey.unknowns()
     rows = np.column_stack([solution.jacobian[:, free], solution.residual])
-    products, spread = _products(curve, solution.white, rows)
+    products, spread = whitened_products(curve, solution.white, rows, GRID)
     known = survey.prior_information()
     target = known @ survey.prior_mean()
     known[CAMERA, CAMERA] += solution.camera.precision
     target[CAMERA] += solution.camera.vector
     total = products[:, :-1, :-1] + known[np.ix_(free, free)]
     pull = products[:, :-1, -1] + (target - known @ solution.theta)[free]
-    scale = 1 / np.sqrt(np.diagonal(total, axis1=1, axis2=2))
-    scaled = total * scale[:, :, None] * scale[:, None, :]
-    freedom = np.linalg.slogdet(scaled)[1] - 2 * np.log(scale).sum(axis=1)
-    step = np.linalg.solve(scaled, (scale * pull)[..., None])[..., 0]
-    return np.asarray(-0.5 * (spread + freedom + products[:, -1, -1] - np.sum(scale * pull * step, axis=1)))
-
-
-def _products(curve: CurveObservations, white: FloatArray, rows: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Products (G, K, K) of the columns of rows (M, K) whitened by every member of the grid, and log det (G,)."""
-    if kernels is None:
-        whitened, spread = _whitened(curve, white, rows)
-        return np.swapaxes(whitened, 1, 2) @ whitened, spread
-    products, spread = np.empty((len(GRID), rows.shape[1], rows.shape[1])), np.empty(len(GRID))
-    own = (np.ascontiguousarray(part, dtype=np.float64) for part in (_kept(curve), curve.sigma, white, rows))
-    kernels.shared_products(*own, GRID, products, spread)
-    return products, spread
-
-
-def _kept(curve: CurveObservations) -> FloatArray:
-    """What an error keeps of itself from one offset to the next (M,); nothing at the first."""
-    return np.asarray(np.exp(-np.diff(curve.arc, prepend=-np.inf) / CORRELATION_LENGTH_PX))
-
-
-def _whitened(curve: CurveObservations, white: FloatArray, rows: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Rows (M, K) whitened by the offsets' covariance for every member of the grid (G, M, K), and its log det (G,).
-
-    An error that falls off exponentially along the curve is a first-order Markov process: a scalar Kalman filter
-    follows it from one offset to the next, and its normalised innovations are the whitened rows.
-    """
-    shared = GRID[:, :1] ** 2 + (GRID[:, 1:] * curve.sigma) ** 2
-    kept = _kept(curve)
-    state, variance = np.zeros((len(GRID), rows.shape[1])), np.ones(len(GRID))
-    whitened, spread = np.empty((len(GRID), *rows.shape)), np.zeros(len(GRID))
-    for n, row in enumerate(rows):
-        own = np.sqrt(shared[:, n])
-        before = kept[n] ** 2 * variance + (1 - kept[n] ** 2)
-        total = shared[:, n] * before + white[n]
-        foreseen = kept[n] * state
-        surprise = row - own[:, None] * foreseen
-        state = foreseen + (own * before / total)[:, None] * surprise
-        whitened[:, n] = surprise / np.sqrt(total)[:, None]
-        variance = before * white[n] / total
-        spread += np.log(total)
-    return whitened, spread
+    step, freedom = solved_each(total, pull[..., None])
+    return np.asarray(-0.5 * (spread + freedom + products[:, -1, -1] - np.sum(pull * step[..., 0], axis=1)))
 
 
 def shared_error(evens: Iterable[tuple[Survey, Solution]]) -> tuple[float, float]:

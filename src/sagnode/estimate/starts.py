@@ -97,8 +97,7 @@ def _tried(survey: Survey, found: Sequence[Solution]) -> FloatArray:
             z = ((thetas[:, SWING] - survey.swing_mean) / survey.swing_u) ** 2
             held = ((thetas[:, SWING] - own.swing_mean) / own.swing_u) ** 2
             levels.append(logs + 0.5 * held - 0.5 * z)
-            sag_u = np.sqrt(covariance[:, SAG, SAG])
-            direction = covariance[:, :, SAG] / sag_u[:, None]
+            direction = covariance / np.sqrt(covariance[:, SAG, None])
             results.append(thetas[:, None] + np.array(ASIDE)[:, None] * direction[:, None])
     level = np.concatenate(levels)
     possible = np.concatenate(results)[level > level.max() - POSSIBLE]

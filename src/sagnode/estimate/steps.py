@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from sagnode.geometry.camera import FloatArray
+from sagnode.native import kernels
 
 SETTLED = 0.01
 """A step of less than this share of a standard uncertainty is the last."""
@@ -21,6 +22,28 @@ def solved(matrix: FloatArray, right: FloatArray) -> FloatArray:
         return np.asarray(np.linalg.solve(matrix, right))
     except np.linalg.LinAlgError:
         return np.full_like(right, np.nan)
+
+
+def solved_each(matrices: FloatArray, right: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Solutions (K, n, r) of equations with symmetric matrices (K, n, n), and their log determinants (K,).
+
+    The unknowns may have very different sizes. NaN where a matrix is not positive definite.
+    """
+    if kernels is not None:
+        solution, log_det = np.empty(right.shape), np.empty(len(matrices))
+        own = (np.ascontiguousarray(part, dtype=np.float64) for part in (matrices, right))
+        kernels.solve_each(*own, solution, log_det)
+        return solution, log_det
+    solution, log_det = np.full(right.shape, np.nan), np.full(len(matrices), np.nan)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        scale = 1 / np.sqrt(np.diagonal(matrices, axis1=1, axis2=2))
+        scaled = matrices * scale[:, :, None] * scale[:, None, :]
+    for k, own in enumerate(scale):
+        if np.isfinite(scaled[k]).all() and (np.linalg.eigvalsh(scaled[k]) > 0).all():
+            factor = np.linalg.cholesky(scaled[k])
+            solution[k] = own[:, None] * solved(factor.T, solved(factor, own[:, None] * right[k]))
+            log_det[k] = 2 * float(np.log(np.diag(factor) / own).sum())
+    return solution, log_det
 
 
 def solve_scaled(matrix: FloatArray, vector: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -66,8 +66,8 @@ def unexcluded(solution: Solution, survey: Survey, chance: float, swing: tuple[f
     kept = np.argsort(log)[::-1][:MOST]
     weight, theta, covariance = weight[kept], theta[kept], covariance[kept]
     # how heavy such a load is, is open too: to both sides as far as it makes the sag less sure than an even load does
-    sag_u = np.sqrt(covariance[:, SAG, SAG])
-    open_u = np.sqrt(np.maximum(covariance[:, SAG, SAG] - solution.covariance[SAG, SAG], 0.0))
-    aside = covariance[:, :, SAG] * (open_u / sag_u**2)[:, None]
+    variance = covariance[:, SAG]
+    open_u = np.sqrt(np.maximum(variance - solution.covariance[SAG, SAG], 0.0))
+    aside = covariance * (open_u / variance)[:, None]
     both = np.concatenate([theta - aside, theta + aside])
     return Loads(both, np.tile(weight / (2 * weight.sum()), 2), IN_FIVE * share)

@@ -9,6 +9,7 @@ several swings, and every block is compared with the place of the curve that it 
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 
@@ -17,9 +18,9 @@ from sagnode.estimate.evidence import evidence
 from sagnode.estimate.joint import Solution, solve
 from sagnode.estimate.load_kinds import Kind, kinds, mixed
 from sagnode.estimate.offsets import CurveObservations, slid
-from sagnode.estimate.steps import solved
+from sagnode.estimate.steps import solved_each
 from sagnode.geometry.camera import FloatArray
-from sagnode.survey import LOAD, SWING, Survey
+from sagnode.survey import CAMERA, LOAD, SAG, SWING, Survey
 
 ASIDE = (1.0, 2.0, 3.0)
 """Swings that are asked about the one that all loads together say, in standard uncertainties of it."""
@@ -32,6 +33,8 @@ BELIEVED = 0.4
 """Share of what the offsets say for one kind of load over another that is believed."""
 ROUNDS = 3
 """Solutions of one kind, each with the blocks at their places on the curve before."""
+REST = slice(0, LOAD.start)
+"""All unknowns but the load."""
 
 
 def solve_loads(
@@ -121,40 +124,51 @@ def _likely(
     return [(kinds()[k], found[where[k]][1][k]) for k in order]
 
 
+@cache
+def _priors() -> tuple[FloatArray, FloatArray, FloatArray]:
+    """What is known of the terms of every kind of load before looking.
+
+    Returns:
+        Mean (K, 10), inverse covariance (K, 10, 10), and the logarithm of a kind's probability with half of that of the
+        determinant (K,).
+    """
+    information = np.array([kind.prior.information for kind in kinds()])
+    level = np.log([kind.probability for kind in kinds()]) + 0.5 * np.linalg.slogdet(information)[1]
+    return np.array([kind.prior.mean for kind in kinds()]), information, level
+
+
 def linear(survey: Survey, stand: Solution) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Logarithm of the evidence (K,) of every kind, its θ (K, 28) and covariance (K, 28, 28), by one linear step."""
-    free = survey.unknowns()
-    white, correlated = stand.noise
-    own = stand.jacobian[:, free]
-    weighed = solved(np.diag(white) + correlated, np.column_stack([own, stand.residual]))
-    gain = weighed.T @ own / stand.inflation
-    left_over = float(stand.residual @ weighed[:, -1]) / stand.inflation
-    _, spread = np.linalg.slogdet(np.diag(white) + correlated)
-    known, mean, theta = survey.prior_information()[np.ix_(free, free)], survey.prior_mean()[free], stand.theta[free]
-    size = len(stand.camera.vector)
-    camera, pull = np.zeros_like(known), np.zeros(len(free))
-    camera[:size, :size], pull[:size] = stand.camera.precision, stand.camera.vector
-    of_camera = float(theta @ camera @ theta - 2 * pull @ theta)
-    load = np.searchsorted(free, np.arange(LOAD.start, LOAD.stop))
-    count = len(kinds())
-    information, expected = np.tile(known, (count, 1, 1)), np.tile(mean, (count, 1))
-    information[:, load[:, None], load] = [kind.prior.information for kind in kinds()]
-    expected[:, load] = [kind.prior.mean for kind in kinds()]
-    total = information + camera + gain[:-1]
-    apart = expected - theta
-    toward = np.einsum("kij,kj->ki", information, apart)
-    vector = toward + pull - camera @ theta + gain[-1]
-    scale = 1 / np.sqrt(np.diagonal(total, axis1=1, axis2=2))
-    scaled = total * scale[:, :, None] * scale[:, None, :]
-    inverse = solved(scaled, np.broadcast_to(np.eye(len(free)), scaled.shape)) * scale[:, :, None] * scale[:, None, :]
-    step = np.einsum("kij,kj->ki", inverse, vector)
-    after = np.linalg.slogdet(scaled)[1] - 2 * np.log(scale).sum(axis=1)
-    before = np.linalg.slogdet(information[:, load[:, None], load])[1]
-    misfit = left_over + of_camera + np.sum(apart * toward, axis=1) - np.sum(vector * step, axis=1)
-    logs = np.log([kind.probability for kind in kinds()]) + 0.5 * (before - after - misfit - spread)
-    logs = np.where(np.isfinite(logs), logs, -np.inf)
-    thetas = np.tile(stand.theta, (count, 1))
-    thetas[:, free] += step
-    covariance = np.zeros((count, len(stand.theta), len(stand.theta)))
-    covariance[:, free[:, None], free] = inverse
-    return logs, thetas, covariance
+    """Every kind of uneven load by one linear step from a solution.
+
+    Kinds differ in what they expect of the load alone: all other unknowns follow it, and are eliminated once.
+
+    Returns:
+        Logarithm of the evidence of each (K,), θ under it (K, 28), and the covariance of that with its sag (K, 28).
+    """
+    mean, information, level = _priors()
+    before, theta = survey.prior_information()[REST, REST], stand.theta
+    apart = (survey.prior_mean() - theta)[REST]
+    both, pull = stand.products[:-1, :-1] / stand.inflation, stand.products[:-1, -1] / stand.inflation
+    both[REST, REST] += before
+    both[CAMERA, CAMERA] += stand.camera.precision
+    of_camera = stand.camera.precision @ theta[CAMERA]
+    pull[REST] += before @ apart
+    pull[CAMERA] += stand.camera.vector - of_camera
+    # the others by themselves, and how far they follow the load
+    between = both[REST, LOAD]
+    right = np.column_stack([between, pull[REST], np.eye(LOAD.start)[SAG]])
+    eliminated, others = solved_each(both[None, REST, REST], right[None])
+    follow, moved, with_sag = eliminated[0, :, : LOAD.stop - LOAD.start], *eliminated[0, :, -2:].T
+    expected = mean - theta[LOAD]
+    toward = np.einsum("kij,kj->ki", information, expected)
+    vector = toward + pull[LOAD] - between.T @ moved
+    asked = np.stack([vector, np.broadcast_to(follow[SAG], vector.shape)], axis=2)
+    left, loads = solved_each(information + (both[LOAD, LOAD] - between.T @ follow), asked)
+    step, by_sag = left[..., 0], left[..., 1]
+    misfit = float(stand.products[-1, -1] / stand.inflation + apart @ before @ apart - pull[REST] @ moved)
+    misfit += float(theta[CAMERA] @ of_camera - 2 * stand.camera.vector @ theta[CAMERA])
+    of_load = np.sum(expected * toward, axis=1) - np.sum(vector * step, axis=1)
+    logs = level - 0.5 * (others + loads + misfit + of_load + stand.spread)
+    thetas = theta + np.concatenate([moved - step @ follow.T, step], axis=1)
+    covariance = np.concatenate([with_sag + by_sag @ follow.T, -by_sag], axis=1)
+    return np.where(np.isfinite(logs), logs, -np.inf), thetas, covariance

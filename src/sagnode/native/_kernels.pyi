@@ -99,10 +99,16 @@ def localise(
 def shared_products(
     kept: Array, sigma: Array, white: Array, rows: Array, grid: Array, products: Array, spread: Array
 ) -> None:
-    """Products of rows (M, K) whitened by every size of a shared error: :mod:`sagnode.estimate.shared`.
+    """Products of rows (M, K) whitened by every size of a shared error: :mod:`sagnode.estimate.whitened`.
 
     grid (G, 2) has the sizes; the results go into products (G, K, K) and spread (G,), logarithms of determinants. kept,
     sigma and white are (M,); all are of double precision and contiguous.
+    """
+
+def solve_each(matrices: Array, right: Array, solution: Array, spread: Array) -> None:
+    """:func:`sagnode.estimate.steps.solved_each`: of matrices (K, n, n) and right (K, n, r), double and contiguous.
+
+    The results go into solution (K, n, r) and spread (K,), logarithms of determinants.
     """
 
 def near_polyline(pixels: Array, normal: Array, reach: Array, other: Array, masked: Array) -> None:

@@ -1,4 +1,4 @@
-/* Rows weighed by the error that neighbouring offsets share, for every size of it: see sagnode.estimate.shared, which
+/* Rows weighed by the error that neighbouring offsets share, for every size of it: see sagnode.estimate.whitened, which
    says what it means and does the same in NumPy. */
 #include "kernels.h"
 #include <math.h>
