@@ -141,6 +141,8 @@ def moved(own: Matched, before: Matched | None, after: Matched | None) -> bool:
         return False
     if before is None or after is None:
         return disturbed(own, [each for each in (before, after) if each is not None])
+    if before.track is after.track:
+        return False
     for one, other in ((before, after), (after, before)):
         beside = near_another(one.track, own.track, CLOSE_PX)
         elsewhere = beside & ~near_another(one.track, other.track, MOVED_PX)

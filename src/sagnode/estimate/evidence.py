@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 from math import erfc, pi, sqrt
+from typing import NamedTuple
 
 import numpy as np
 
@@ -24,8 +25,7 @@ SHARES = (0.05, 0.3)
 """Standard deviations of such a load's weight, over the wire's own: a branch or a trolley, and ice."""
 
 
-@dataclass(frozen=True)
-class Unevenness:
+class Unevenness(NamedTuple):
     """What an even solution's residuals say about an uneven load.
 
     Attributes:
@@ -129,7 +129,7 @@ def single_loads(solution: Solution, survey: Survey, t: FloatArray) -> list[Unev
     # sag times what a deeper wire moves in the picture: the terms' columns are that times their shapes
     down = np.sum(shapes * per_depth, axis=1) / np.maximum(np.sum(per_depth**2, axis=1), 1e-12)
     of = _marginal(solution, survey, down[:, None] * _single_shapes(t))
-    explanations = []
+    explanations: list[Unevenness] = []
     for u in SHARES:
         information = np.diag(of.seen) + 1 / u**2
         share, spread = of.pull / information, 1 / np.sqrt(information)
@@ -143,9 +143,8 @@ def single_loads(solution: Solution, survey: Survey, t: FloatArray) -> list[Unev
         variance = spread**2 * np.maximum(1 - z * hazard - hazard**2, 1e-3)
         swing = of.swing[0] - of.turn * mean
         swing_u = np.sqrt(of.swing[1] + of.turn**2 * variance)
-        explanations += [
-            Unevenness(float(misfit[k]), float(odds[k]), (float(swing[k]), float(swing_u[k]))) for k in range(len(odds))
-        ]
+        swings = zip(swing.tolist(), swing_u.tolist(), strict=True)
+        explanations += map(Unevenness, misfit.tolist(), odds.tolist(), swings)
     return explanations
 
 

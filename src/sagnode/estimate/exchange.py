@@ -130,9 +130,10 @@ def _aside(view: View, sag: float, swing: float, points: FloatArray, normal: Flo
     t = even_parameters(view, sag, swing, SAMPLES)
     if len(t) < 2:
         return np.full(len(points), np.nan)
-    away = view.pixels(sag, swing, t)[0][None] - points[:, None]
-    across = np.sum(away * normal[:, None], axis=2)
-    along = away[..., 0] * normal[:, None, 1] - away[..., 1] * normal[:, None, 0]
+    curve = view.pixels(sag, swing, t)[0].T
+    tangent = normal[:, ::-1] * (1.0, -1.0)
+    across = normal @ curve - np.sum(normal * points, axis=1)[:, None]
+    along = tangent @ curve - np.sum(tangent * points, axis=1)[:, None]
     # where the curve crosses the normal nearest to the point
     crossing = np.where(along[:, 1:] * along[:, :-1] <= 0, np.abs(across[:, 1:]), np.inf)
     first = np.argmin(crossing, axis=1)

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from sagnode.geometry.camera import FloatArray, project, projection_derivatives
+from sagnode.geometry.camera import FloatArray, place_derivatives, project, projection_derivatives
 from sagnode.geometry.conductor import conductor_derivatives, finer_load_shapes, gravity_direction, load_shapes
 from sagnode.native import kernels
 from sagnode.survey import CAMERA, LOAD, SAG, SIZE, SWING, Survey
@@ -125,7 +125,7 @@ def finer_load_error(survey: Survey, theta: FloatArray, curve: CurveObservations
     """Covariance (M, M), px², of the offsets by the terms of an uneven load that are too fine to be solved for."""
     intrinsics, pose = survey.camera(theta)
     shape = survey.shape(theta)
-    by_point, _ = projection_derivatives(intrinsics, pose, shape.points(curve.t))
+    by_point = place_derivatives(intrinsics, pose, shape.points(curve.t))
     down = np.einsum(
         "mi,mij,j->m", curve.normal, by_point, gravity_direction(shape.near, shape.far, float(theta[SWING]))
     )

@@ -12,7 +12,7 @@ singly. All of it is Gaussian in the swings, and φ̄ is integrated over a grid.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -30,8 +30,7 @@ NONE, NEGLIGIBLE = -1e9, 25.0
 """Log-evidence where there is no explanation, and by how much less than the best another need not be reckoned with."""
 
 
-@dataclass(frozen=True)
-class Explanation:
+class Explanation(NamedTuple):
     """What one load makes of the picture: a Gaussian likelihood of the swing.
 
     Attributes:
@@ -86,26 +85,31 @@ def expected_swing(others: Sequence[Sequence[Explanation]], prior_u: float) -> t
     weight = np.exp(weight - weight.max())
     weight /= weight.sum()
     mean = float(weight @ common)
-    return mean, float(np.sqrt(weight @ ((common - mean) ** 2 + _spread(common) ** 2)))
+    return mean, float(np.sqrt(weight @ ((common - mean) ** 2 + _spread(common))))
 
 
 def _spread(common: FloatArray) -> FloatArray:
-    return np.asarray(np.hypot(SPREAD[0], SPREAD[1] * common))
+    """Variance of a conductor's swing about some common ones."""
+    return np.asarray(SPREAD[0] ** 2 + (SPREAD[1] * common) ** 2)
 
 
 def _log_likelihood(explained: Sequence[Explanation], common: FloatArray, prior_u: float) -> FloatArray:
     """Logarithm of the mean evidence (N,) of explanations, the swings being spread about each of some common ones."""
     if not explained:
         return np.full(len(common), NONE)
-    best = max(each.log_evidence for each in explained)
-    telling = [each for each in explained if each.log_evidence > best - NEGLIGIBLE]
-    evidence, swing, variance = np.array([(e.log_evidence, e.swing, e.variance) for e in telling]).T[:, :, None]
-    spread = _log_normal(swing - common, variance + _spread(common) ** 2)
-    alone = _log_normal(swing, variance + prior_u**2)
-    logs = evidence + spread - alone
+    told = np.array(explained)
+    evidence, swing, variance = told[told[:, 0] > told[:, 0].max() - NEGLIGIBLE].T[:, :, None]
+    # over the mean under the prior, which the evidence is; 2π is in both
+    alone = variance + prior_u**2
+    level = evidence + 0.5 * (swing**2 / alone + np.log(alone))
+    # hundreds of explanations on hundreds of swings: as few passes as can be, in place
+    spread = variance + _spread(common)
+    logs = np.sqrt(0.5) * swing - np.sqrt(0.5) * common
+    logs *= logs
+    logs /= spread
+    np.subtract(level, logs, out=logs)
     highest = logs.max(axis=0)
-    return np.asarray(highest + np.log(np.exp(logs - highest).sum(axis=0) / len(explained)))
-
-
-def _log_normal(difference: FloatArray, variance: FloatArray | float) -> FloatArray:
-    return np.asarray(-0.5 * difference**2 / variance - 0.5 * np.log(2 * np.pi * np.asarray(variance)))
+    logs -= highest
+    np.exp(logs, out=logs)
+    logs /= np.sqrt(spread, out=spread)
+    return np.asarray(highest + np.log(logs.sum(axis=0) / len(explained)))

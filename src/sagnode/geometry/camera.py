@@ -206,14 +206,14 @@ def project_camera(intrinsics: Intrinsics, camera: FloatArray) -> tuple[FloatArr
     return pixels, depth
 
 
-def projection_derivatives(intrinsics: Intrinsics, pose: Pose, points: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Derivatives of the pixels of points (N, 3), all of them in view.
-
-    Returns:
-        By the point's place in the site frame (N, 2, 3), px/m; and by the camera's ten parameters (N, 2, 10): turn
-        (rad, camera frame), shift (m, site frame), relative focal length, principal point (px), k1.
-    """
+def place_derivatives(intrinsics: Intrinsics, pose: Pose, points: FloatArray) -> FloatArray:
+    """Derivatives (N, 2, 3) of the pixels of points (N, 3), all of them in view, by their place in the site frame."""
     camera = (points - pose.position) @ pose.rotation.T
+    return np.asarray(_by_own_place(intrinsics, camera)[0] @ pose.rotation)
+
+
+def _by_own_place(intrinsics: Intrinsics, camera: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Derivatives (N, 2, 3) of pixels by places (N, 3) in the camera's frame; and those through the lens, x and y."""
     z = camera[:, 2]
     x, y = camera[:, 0] / z, camera[:, 1] / z
     step = 1e-6
@@ -222,21 +222,35 @@ def projection_derivatives(intrinsics: Intrinsics, pose: Pose, points: FloatArra
     xd, yd = all_x[0], all_y[0]
     by_x, by_y = (((all_x[k] - xd) / step, (all_y[k] - yd) / step) for k in (1, 2))
     focal = (intrinsics.fx, intrinsics.fy)
-    by_camera = np.empty((len(points), 2, 3))
+    by_camera = np.empty((len(camera), 2, 3))
     for row in range(2):
         dx, dy = focal[row] * by_x[row], focal[row] * by_y[row]
-        by_camera[:, row] = np.stack([dx / z, dy / z, -(dx * x + dy * y) / z], axis=1)
+        by_camera[:, row, 0], by_camera[:, row, 1] = dx / z, dy / z
+        by_camera[:, row, 2] = -(dx * x + dy * y) / z
+    return by_camera, xd, yd
+
+
+def projection_derivatives(intrinsics: Intrinsics, pose: Pose, points: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Derivatives of the pixels of points (N, 3), all of them in view.
+
+    Returns:
+        By the point's place in the site frame (N, 2, 3), px/m; and by the camera's ten parameters (N, 2, 10): turn
+        (rad, camera frame), shift (m, site frame), relative focal length, principal point (px), k1.
+    """
+    camera = (points - pose.position) @ pose.rotation.T
+    by_camera, xd, yd = _by_own_place(intrinsics, camera)
     by_point = by_camera @ pose.rotation
     parameters = np.zeros((len(points), 2, 10))
     # a turn by v moves the point by v x camera
     for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
         parameters[:, :, i] = camera[:, None, j] * by_camera[:, :, k] - camera[:, None, k] * by_camera[:, :, j]
     parameters[:, :, 3:6] = -by_point
-    parameters[:, 0, 6], parameters[:, 1, 6] = focal[0] * xd, focal[1] * yd
+    parameters[:, 0, 6], parameters[:, 1, 6] = intrinsics.fx * xd, intrinsics.fy * yd
     parameters[:, 0, 7] = parameters[:, 1, 8] = 1.0
     if intrinsics.model == "pinhole":
+        x, y = camera[:, 0] / camera[:, 2], camera[:, 1] / camera[:, 2]
         r2 = x * x + y * y
-        parameters[:, 0, 9], parameters[:, 1, 9] = focal[0] * x * r2, focal[1] * y * r2
+        parameters[:, 0, 9], parameters[:, 1, 9] = intrinsics.fx * x * r2, intrinsics.fy * y * r2
     return by_point, parameters
 
 

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sagnode.geometry.camera import FloatArray, Intrinsics, projection_derivatives
+from sagnode.geometry.camera import FloatArray, Intrinsics, place_derivatives
 from sagnode.geometry.conductor import conductor_points, gravity_direction, loaded_profile
 from sagnode.match.bundle import lines
 from sagnode.match.family import Family
@@ -248,7 +248,7 @@ def _movements(
         The attachments' uncertainty (px, one standard deviation), sag (px per metre) and swing (px per radian).
     """
     points = conductor_points(view.near, view.far, sag, 0.0, t, view.load)
-    by_point, _ = projection_derivatives(view.intrinsics, view.pose, points)
+    by_point = place_derivatives(view.intrinsics, view.pose, points)
     across = np.nan_to_num(np.einsum("ni,nij->nj", normals(pixels), by_point))
     # an attachment carries the curve along in proportion to how near it is
     spread = attachment_u * np.linalg.norm(across, axis=1) * np.hypot(1 - t, t)

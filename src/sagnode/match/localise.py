@@ -165,16 +165,16 @@ def _scatter(image: AnyGrey, stretch: Stretch, size: NDArray[np.int64], asked: N
     scatter = np.zeros(len(size))
     if not asked.any() or not (size > 1).all():
         return scatter
-    own = np.repeat(asked, size)
+    own = np.flatnonzero(np.repeat(asked, size))
     first = np.cumsum(size[asked]) - size[asked]
     starts = np.stack([first, first + size[asked] // 2], axis=1)
     halves = replace(
         stretch,
-        pixels=np.ascontiguousarray(stretch.pixels[own]),
-        normal=np.ascontiguousarray(stretch.normal[own]),
-        width=stretch.width[own],
-        half_range=stretch.half_range[own],
-        members=np.ascontiguousarray(stretch.members[:, own]),
+        pixels=stretch.pixels.take(own, axis=0),
+        normal=stretch.normal.take(own, axis=0),
+        width=stretch.width.take(own),
+        half_range=stretch.half_range.take(own),
+        members=stretch.members.take(own, axis=1),
         starts=starts.ravel(),
         exact=False,
     )

@@ -8,6 +8,7 @@ where they lie best, so that those which mean the same wire become one.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +29,9 @@ POLISHED = 8
 """Most peaks of the grid that are looked at more closely."""
 POLISH = (1.0, 0.4)
 """How far about a peak to look at a time, in steps of the grid."""
+ASIDE = np.linspace(-1.0, 1.0, 5)
+AROUND = np.array([np.repeat(ASIDE, len(ASIDE)), np.tile(ASIDE, len(ASIDE))])
+"""Curves about one that are compared with it: so much of the reach in sag and in swing (2, 25)."""
 DISTINCT_PX = 1.5
 """Typical distance, in px and bands, below which two curves are one."""
 
@@ -63,7 +67,7 @@ def search(
     swings = max((grid[1] for grid in scored), key=len)
     total, count = np.zeros((2, len(sags), len(swings)))
     for own_sags, own_swings, own_total, own_count in scored:
-        to_sag, to_swing = _interpolation(own_sags, sags), _interpolation(own_swings, swings)
+        to_sag, to_swing = _interpolation(len(own_sags), len(sags)), _interpolation(len(own_swings), len(swings))
         total += to_sag @ own_total @ to_swing.T
         count += to_sag @ own_count @ to_swing.T
     everything = max(float(np.sum(trust(library.spread))), 1e-6)
@@ -99,20 +103,17 @@ def _polished(
 
     ``reach`` is how far to look in sag (m) and swing (rad), ``expected`` the swing's prior, mean and deviation.
     """
-    steps = np.linspace(-1.0, 1.0, 5)
-    aside = steps if reach[1] > 0 else np.zeros(1)
-    by_sag, by_swing = (axis.ravel() for axis in np.meshgrid(steps * reach[0], aside * reach[1], indexing="ij"))
-    sags = np.clip(start[0][:, None] + by_sag, *library.sag_range)
-    swings = np.clip(start[1][:, None] + by_swing, -library.swing_max, library.swing_max)
+    by_sag, by_swing = AROUND if reach[1] > 0 else AROUND[:, :: len(ASIDE)]
+    low, high = library.sag_range
+    sags = np.minimum(np.maximum(start[0][:, None] + by_sag * reach[0], low), high)
+    swings = np.minimum(np.maximum(start[1][:, None] + by_swing * reach[1], -library.swing_max), library.swing_max)
     every = np.arange(len(library.spread))
     places = places_of(library.view, library.family, sags.ravel(), swings.ravel(), every, library.spread)
     total, count = _sums(image, places)
     score = (total / np.maximum(count, 1e-6)).reshape(sags.shape)
     ranked = score - _swing_penalty(swings, expected)
-    best = np.argmax(ranked, axis=1)[:, None]
-    parts = (sags, swings, score, count.reshape(sags.shape))
-    polished = [np.take_along_axis(part, best, axis=1)[:, 0] for part in parts]
-    return polished[0], polished[1], polished[2], polished[3]
+    best = np.arange(len(sags)), np.argmax(ranked, axis=1)
+    return sags[best], swings[best], score[best], count.reshape(sags.shape)[best]
 
 
 def _swing_penalty(swings: FloatArray, expected: tuple[float, float]) -> FloatArray:
@@ -135,14 +136,15 @@ def _distinct(library: Library, sags: FloatArray, swings: FloatArray) -> NDArray
     return np.array(kept, dtype=np.intp)
 
 
-def _interpolation(own: FloatArray, common: FloatArray) -> FloatArray:
-    """Matrix (K, n) of linear interpolation from n even grid points to K over the same range."""
-    if len(own) == 1:
-        return np.ones((len(common), 1))
-    place = np.linspace(0.0, len(own) - 1.0, len(common))
-    first = np.minimum(place.astype(np.intp), len(own) - 2)
-    matrix = np.zeros((len(common), len(own)))
-    rows = np.arange(len(common))
+@lru_cache(maxsize=64)
+def _interpolation(own: int, common: int) -> FloatArray:
+    """Matrix (K, n) of linear interpolation from n even grid points to K over the same range, for n and K."""
+    if own == 1:
+        return np.ones((common, 1))
+    place = np.linspace(0.0, own - 1.0, common)
+    first = np.minimum(place.astype(np.intp), own - 2)
+    matrix = np.zeros((common, own))
+    rows = np.arange(common)
     matrix[rows, first] = 1 - (place - first)
     matrix[rows, first + 1] = place - first
     return matrix

@@ -104,8 +104,10 @@ def even_parameters(
     arc, t = visible_part(view, sag, swing, margin)
     if not arc.size:
         return np.empty(0)
-    along = np.concatenate([[0.0], np.cumsum(np.where(np.diff(arc) > 0, np.diff(t), 0.0))])
-    share = (1 - span_share) * arc / arc[-1] + span_share * along / along[-1]
+    share = arc / arc[-1]
+    if span_share:
+        along = np.concatenate([[0.0], np.cumsum(np.where(np.diff(arc) > 0, np.diff(t), 0.0))])
+        share = (1 - span_share) * share + span_share * along / along[-1]
     return np.asarray(np.interp(np.linspace(0.0, 1.0, count), share, t))
 
 

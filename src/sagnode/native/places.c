@@ -2,7 +2,6 @@
    sagnode.match.family, which do the same in NumPy. Single precision: a picture needs no more. */
 #include "kernels.h"
 #include <math.h>
-#include <stdlib.h>
 
 enum { CHUNK = 64 };
 
@@ -104,13 +103,13 @@ static void turn_aside(const float *u0, const float *u1, const float *v0, const 
     }
 }
 
-/* Distance of a thin line's sides, from the projected width of one wire at one metre and the depths of a chunk; a whole
-   number of steps where the places of a band share them. */
+/* Distance of a thin line's sides in the place of the depths of a chunk, by the projected width of one wire at one metre;
+   a whole number of steps where the places of a band share them. */
 FOR_EACH_PROCESSOR
-static void beside(float width, const float *depth, float step, int count, float *side)
+static void beside(float width, float step, int count, float *side)
 {
     for (int k = 0; k < count; k++) {
-        float outside = 0.5f * (width / depth[k]) + CLEAR_PX;
+        float outside = 0.5f * (width / side[k]) + CLEAR_PX;
         side[k] = outside > SIDE_OFFSET_PX ? outside : SIDE_OFFSET_PX;
     }
     if (step >= LEAST_STEP_PX)
@@ -158,39 +157,31 @@ PyObject *places(PyObject *module, PyObject *const *words, Py_ssize_t count)
         return NULL;
     }
     Py_ssize_t samples = slope.shape[0], curves = sag.shape[0], rows = out[0].shape[0];
-    /* a neighbour on either side gives the ends their tangents */
-    Py_ssize_t begin = first > 0 ? first - 1 : 0, end = first + rows < samples ? first + rows + 1 : samples;
-    float *scratch = malloc((size_t)(end - begin) * 3 * CHUNK * sizeof *scratch);
-    if (scratch == NULL) {
-        release(&all);
-        return PyErr_NoMemory();
-    }
-    float *u = scratch, *v = u + (end - begin) * CHUNK, *depth = v + (end - begin) * CHUNK;
+    /* a neighbour on either side gives the ends their tangents; those that no other stretch asks for are not kept */
+    float scratch[3 * CHUNK], edge[4 * CHUNK], *out_u = (float *)out[0].at, *out_v = (float *)out[1].at;
     for (Py_ssize_t start = 0; start < curves; start += CHUNK) {
         int some = (int)(curves - start < CHUNK ? curves - start : CHUNK);
-        for (Py_ssize_t i = begin; i < end; i++) {
-            Py_ssize_t at = (i - begin) * CHUNK;
-            project_sample(&by, (const float *)chord.at + 3 * i, ((const float *)slope.at)[i],
-                           ((const float *)bend.at)[i], (const float *)turn.at, (const float *)sag.at + start,
-                           (const float *)cosine.at + start, (const float *)sine.at + start, some, u + at, v + at,
-                           depth + at);
+        for (Py_ssize_t i = first > 0 ? -1 : 0; i < rows + (first + rows < samples); i++) {
+            Py_ssize_t at = i * curves + start, own = first + i;
+            int kept = i >= 0 && i < rows;
+            float *u = kept ? out_u + at : edge + (i < 0 ? 0 : 2 * CHUNK), *v = kept ? out_v + at : u + CHUNK;
+            project_sample(&by, (const float *)chord.at + 3 * own, ((const float *)slope.at)[own],
+                           ((const float *)bend.at)[own], (const float *)turn.at, (const float *)sag.at + start,
+                           (const float *)cosine.at + start, (const float *)sine.at + start, some, u, v,
+                           kept ? (float *)out[4].at + at : scratch);
         }
         for (Py_ssize_t i = 0; i < rows; i++) {
-            Py_ssize_t own = first + i - begin, to = i * curves + start;
-            Py_ssize_t before = (own > 0 ? own - 1 : own) * CHUNK;
-            Py_ssize_t after = (own < end - begin - 1 ? own + 1 : own) * CHUNK;
-            for (int k = 0; k < some; k++) {
-                ((float *)out[0].at)[to + k] = u[own * CHUNK + k];
-                ((float *)out[1].at)[to + k] = v[own * CHUNK + k];
-                ((float *)out[4].at)[to + k] = depth[own * CHUNK + k];
-            }
+            Py_ssize_t to = i * curves + start;
+            const float *u0 = i > 0 ? out_u + to - curves : first > 0 ? edge : out_u + to;
+            const float *v0 = i > 0 ? out_v + to - curves : first > 0 ? edge + CHUNK : out_v + to;
+            int last = i == rows - 1, beyond = first + rows < samples;
+            const float *u1 = !last ? out_u + to + curves : beyond ? edge + 2 * CHUNK : out_u + to;
+            const float *v1 = !last ? out_v + to + curves : beyond ? edge + 3 * CHUNK : out_v + to;
             if (width > 0)
-                beside(width, depth + own * CHUNK, ((const float *)step.at)[i], some, (float *)out[4].at + to);
-            turn_aside(u + before, u + after, v + before, v + after, some, (float *)out[2].at + to,
-                       (float *)out[3].at + to);
+                beside(width, ((const float *)step.at)[i], some, (float *)out[4].at + to);
+            turn_aside(u0, u1, v0, v1, some, (float *)out[2].at + to, (float *)out[3].at + to);
         }
     }
-    free(scratch);
     release(&all);
     Py_RETURN_NONE;
 }

@@ -145,11 +145,6 @@ typedef struct {
     float reach; /* farthest that a band goes */
 } question;
 
-static inline float single(const array *of, Py_ssize_t i, Py_ssize_t j)
-{
-    return *(const float *)(of->at + i * of->step[0] + j * of->step[1]);
-}
-
 static int ask(arrays *all, PyObject *const *words, question *q)
 {
     array image;
@@ -185,9 +180,10 @@ static int ask(arrays *all, PyObject *const *words, question *q)
 static Py_ssize_t along(const array *of, int axis) { return of->shape[axis] == 1 ? 0 : of->step[axis]; }
 
 /* How many steps of the band the sides of all samples of a chunk are from their middles; 0 where that does not hold. */
+FOR_EACH_PROCESSOR
 static int steps_away(const question *q, const float *band, int lines, const float *places, const float *sides, int count)
 {
-    int bands = (int)q->band.shape[0];
+    int bands = (int)q->band.shape[0], apart = 0;
     if (lines != 1 || bands < 3)
         return 0;
     const char *at = (const char *)band;
@@ -202,23 +198,45 @@ static int steps_away(const question *q, const float *band, int lines, const flo
     if (bands + 2 * away > MOST_STEPS)
         return 0;
     for (int k = 0; k < count; k++)
-        if (places[k] != 0.0f || !(fabsf(sides[k] - (float)away * step) < 1e-4f))
-            return 0;
-    return away;
+        apart |= (places[k] != 0.0f) | !(fabsf(sides[k] - (float)away * step) < 1e-4f);
+    return apart ? 0 : away;
+}
+
+/* Which of a chunk's samples, all that is looked at about them reaching so far, are in the frame; whether any is. */
+FOR_EACH_PROCESSOR
+static int in_frame(const picture *image, const float *u, const float *v, const float *nu, const float *nv,
+                    const float *outer, int count, uint8_t *seen)
+{
+    float right = (float)(image->width - 1), bottom = (float)(image->height - 1);
+    int any = 0;
+    for (int k = 0; k < count; k++) {
+        float across = fabsf(outer[k] * nu[k]), down = fabsf(outer[k] * nv[k]);
+        int within = (u[k] >= across) & (u[k] + across <= right) & (v[k] >= down) & (v[k] + down <= bottom);
+        seen[k] = (uint8_t)within;
+        any |= within;
+    }
+    return any;
+}
+
+/* Elements of a row from column `start`: where they are, if nothing is between them, else copied into `room`. */
+static const float *row(const array *of, Py_ssize_t i, Py_ssize_t start, int count, float *room)
+{
+    const char *at = of->at + i * of->step[0] + start * of->step[1];
+    if (of->step[1] == sizeof(float))
+        return (const float *)at;
+    for (int k = 0; k < count; k++)
+        room[k] = *(const float *)(at + k * of->step[1]);
+    return room;
 }
 
 /* Responses of one row's chunk from column `start`, and which of its samples are in the frame with all their sides. */
 static void chunk(const question *q, Py_ssize_t i, Py_ssize_t start, int count, int16_t *best, uint8_t *seen)
 {
-    float u[CHUNK], v[CHUNK], nu[CHUNK], nv[CHUNK], places[16 * CHUNK], sides[16 * CHUNK], outer[CHUNK];
+    float room[4][CHUNK], places[16 * CHUNK], sides[16 * CHUNK], outer[CHUNK];
     int lines = (int)q->places.shape[0];
-    for (int k = 0; k < count; k++) {
-        u[k] = single(&q->u, i, start + k);
-        v[k] = single(&q->v, i, start + k);
-        nu[k] = single(&q->nu, i, start + k);
-        nv[k] = single(&q->nv, i, start + k);
-        outer[k] = 0.0f;
-    }
+    const float *u = row(&q->u, i, start, count, room[0]), *v = row(&q->v, i, start, count, room[1]);
+    const float *nu = row(&q->nu, i, start, count, room[2]), *nv = row(&q->nv, i, start, count, room[3]);
+    memset(outer, 0, sizeof outer);
     Py_ssize_t place_row = i * along(&q->places, 1), side_row = i * along(&q->sides, 1);
     Py_ssize_t place_step = along(&q->places, 2), side_step = along(&q->sides, 2);
     for (int line = 0; line < lines; line++) {
@@ -232,14 +250,7 @@ static void chunk(const question *q, Py_ssize_t i, Py_ssize_t start, int count, 
             outer[k] = far > outer[k] ? far : outer[k];
         }
     }
-    float right = (float)(q->image.width - 1), bottom = (float)(q->image.height - 1);
-    int any = 0;
-    for (int k = 0; k < count; k++) {
-        float across = fabsf(outer[k] * nu[k]), down = fabsf(outer[k] * nv[k]);
-        seen[k] = u[k] >= across && u[k] + across <= right && v[k] >= down && v[k] + down <= bottom;
-        any |= seen[k];
-    }
-    if (!any) {
+    if (!in_frame(&q->image, u, v, nu, nv, outer, count, seen)) {
         memset(best, 0, (size_t)count * sizeof *best);
         return;
     }
@@ -280,6 +291,18 @@ PyObject *response(PyObject *module, PyObject *const *words, Py_ssize_t count)
     Py_RETURN_NONE;
 }
 
+/* Add a chunk's responses in the frame, and their weight. */
+FOR_EACH_PROCESSOR
+static void add(const int16_t *restrict best, const uint8_t *restrict seen, double weight, int count,
+                double *restrict sum, double *restrict within)
+{
+    for (int k = 0; k < count; k++) {
+        double counted = seen[k] ? weight : 0.0;
+        sum[k] += counted * best[k];
+        within[k] += counted;
+    }
+}
+
 PyObject *response_sums(PyObject *module, PyObject *const *words, Py_ssize_t count)
 {
     arrays all = {0};
@@ -307,11 +330,7 @@ PyObject *response_sums(PyObject *module, PyObject *const *words, Py_ssize_t cou
         for (Py_ssize_t start = 0; start < columns; start += CHUNK) {
             int some = (int)(columns - start < CHUNK ? columns - start : CHUNK);
             chunk(&q, i, start, some, best, seen);
-            for (int k = 0; k < some; k++) {
-                double counted = seen[k] ? own : 0.0;
-                sum[start + k] += counted * best[k];
-                within[start + k] += counted;
-            }
+            add(best, seen, own, some, sum + start, within + start);
         }
     }
     release(&all);
