@@ -77,6 +77,10 @@ class Survey:
 
     def prior_sigma(self) -> FloatArray:
         """Standard uncertainties of θ (28,); sag has a prior so wide that it says nothing within its range."""
+        return self._sigma.copy()
+
+    @cached_property
+    def _sigma(self) -> FloatArray:
         sigma = np.empty(SIZE)
         sigma[0:3] = self.orientation_u
         sigma[3:6] = self.position_u
@@ -101,7 +105,11 @@ class Survey:
 
     def prior_information(self) -> FloatArray:
         """Inverse covariance (28, 28) of θ."""
-        information = np.diag(1 / self.prior_sigma() ** 2)
+        return self._information.copy()
+
+    @cached_property
+    def _information(self) -> FloatArray:
+        information = np.diag(1 / self._sigma**2)
         if self.load_prior is not None and self.load_u > 0:
             information[LOAD, LOAD] = self.load_prior.information
         return information

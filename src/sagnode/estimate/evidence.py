@@ -9,12 +9,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
-from math import erfc, pi, sqrt
+from math import erfc, log, pi, sqrt
 from typing import NamedTuple
 
 import numpy as np
 
 from sagnode.estimate.joint import Solution
+from sagnode.estimate.steps import solved_each
 from sagnode.geometry.camera import FloatArray
 from sagnode.geometry.conductor import load_shapes
 from sagnode.survey import CAMERA, LOAD, SWING, Survey
@@ -87,27 +88,30 @@ def unevenness(solution: Solution, survey: Survey, load_us: Sequence[float]) -> 
             counts against it.
     """
     of = _marginal(solution, survey, solution.jacobian[:, LOAD])
+    known = np.array(load_us)[:, None, None] ** -2 * np.eye(len(of.seen))
+    right = np.column_stack([of.pull, of.turn, of.seen])
+    solutions, spread = solved_each(of.seen + known, np.broadcast_to(right, (len(known), *right.shape)))
     explanations = []
-    for u in load_us:
-        information = of.seen + np.eye(len(of.seen)) / u**2
-        terms = np.linalg.solve(information, of.pull)
+    for u, solved, own_spread in zip(load_us, solutions, spread, strict=True):
+        terms, turn, share = solved[:, 0], solved[:, 1], solved[:, 2:]
         misfit = float(of.pull @ terms)
-        _, gained = np.linalg.slogdet(information * u**2)
-        swing_u = float(np.sqrt(of.swing[1] + of.turn @ np.linalg.solve(information, of.turn)))
+        gained = float(own_spread) + len(terms) * log(u**2)
+        swing_u = float(np.sqrt(of.swing[1] + of.turn @ turn))
         swing = float(of.swing[0] - of.turn @ terms)
-        odds = 0.5 * (misfit - float(gained))
-        explanations.append(Unevenness(misfit, odds, (swing, swing_u), _surprise(misfit, of.seen, information)))
+        odds = 0.5 * (misfit - gained)
+        explanations.append(Unevenness(misfit, odds, (swing, swing_u), _surprise(misfit, share)))
     return explanations
 
 
-def _surprise(misfit: float, seen: FloatArray, information: FloatArray) -> float:
+def _surprise(misfit: float, share: FloatArray) -> float:
     """How far out a misfit lies for a bare wire, whose offsets err as they say, as that of a normal variable.
+
+    ``share`` (K, K) is what the residuals say of the terms, of all that is known of them.
 
     What a bare wire's terms take off is a sum of squares, each as large as the picture speaks of it: the sharper the
     view, the more of them there are. Its first two moments make it a χ² of fewer degrees of freedom (Satterthwaite),
     and the cube root of that is nearly normal (Wilson and Hilferty).
     """
-    share = np.linalg.solve(information, seen)
     mean, squares = float(np.trace(share)), float(np.sum(share * share.T))
     if mean <= 0 or squares <= 0:
         return 0.0
