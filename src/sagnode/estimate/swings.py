@@ -17,6 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sagnode.geometry.camera import FloatArray
+from sagnode.native import kernels
 
 SPREAD = (np.radians(0.3), 0.1)
 """Standard deviation of a conductor's swing about the common one: this angle, and this share of the common swing."""
@@ -98,18 +99,22 @@ def _log_likelihood(explained: Sequence[Explanation], common: FloatArray, prior_
     if not explained:
         return np.full(len(common), NONE)
     told = np.array(explained)
-    evidence, swing, variance = told[told[:, 0] > told[:, 0].max() - NEGLIGIBLE].T[:, :, None]
+    evidence, swing, variance = np.ascontiguousarray(told[told[:, 0] > told[:, 0].max() - NEGLIGIBLE].T)
     # over the mean under the prior, which the evidence is; 2π is in both
     alone = variance + prior_u**2
-    level = evidence + 0.5 * (swing**2 / alone + np.log(alone))
-    # hundreds of explanations on hundreds of swings: as few passes as can be, in place
-    spread = variance + _spread(common)
-    logs = np.sqrt(0.5) * swing - np.sqrt(0.5) * common
-    logs *= logs
-    logs /= spread
-    np.subtract(level, logs, out=logs)
+    level = evidence + 0.5 * (swing**2 / alone + np.log(alone)) - np.log(len(explained))
+    return _summed(level, swing, variance, common, _spread(common))
+
+
+def _summed(
+    level: FloatArray, swing: FloatArray, variance: FloatArray, common: FloatArray, spread: FloatArray
+) -> FloatArray:
+    """Logarithm (N,) of the sum over explanations (K,) at some common swings (N,) with a spread (N,) about each."""
+    if kernels is not None:
+        result = np.empty(len(common))
+        kernels.sum_explanations(level, swing, variance, common, spread, result)
+        return result
+    both = variance[:, None] + spread
+    logs = level[:, None] - 0.5 * (swing[:, None] - common) ** 2 / both
     highest = logs.max(axis=0)
-    logs -= highest
-    np.exp(logs, out=logs)
-    logs /= np.sqrt(spread, out=spread)
-    return np.asarray(highest + np.log(logs.sum(axis=0) / len(explained)))
+    return np.asarray(highest + np.log(np.sum(np.exp(logs - highest) / np.sqrt(both), axis=0)))

@@ -111,6 +111,12 @@ def solve_each(matrices: Array, right: Array, solution: Array, spread: Array) ->
     The results go into solution (K, n, r) and spread (K,), logarithms of determinants.
     """
 
+def sum_explanations(level: Array, swing: Array, variance: Array, common: Array, spread: Array, out: Array) -> None:
+    """Logarithm (N,) of the sum of explanations (K,) at some common swings (N,): :mod:`sagnode.estimate.swings`.
+
+    spread (N,) is the variance of swings about each of them; all are of double precision and contiguous.
+    """
+
 def near_polyline(pixels: Array, normal: Array, reach: Array, other: Array, masked: Array) -> None:
     """:func:`sagnode.match.masks.near`, added to masked (M,) bool.
 

@@ -67,6 +67,7 @@ PyObject *solve_camera(PyObject *module, PyObject *const *words, Py_ssize_t coun
 PyObject *solve(PyObject *module, PyObject *const *words, Py_ssize_t count);
 PyObject *shared_products(PyObject *module, PyObject *const *words, Py_ssize_t count);
 PyObject *solve_each(PyObject *module, PyObject *const *words, Py_ssize_t count);
+PyObject *sum_explanations(PyObject *module, PyObject *const *words, Py_ssize_t count);
 PyObject *quantities(PyObject *module, PyObject *const *words, Py_ssize_t count);
 PyObject *clearance_place_u(PyObject *module, PyObject *const *words, Py_ssize_t count);
 
