@@ -24,7 +24,7 @@ from sagnode.estimate.offsets import CORRELATION_LENGTH_PX, CurveObservations
 from sagnode.estimate.refinement import STAGES
 from sagnode.estimate.register import Registered
 from sagnode.estimate.shared import shared_error
-from sagnode.estimate.steps import solved
+from sagnode.estimate.steps import solved_each
 from sagnode.geometry.camera import FloatArray
 from sagnode.match.standing import chance_of, spread_by
 from sagnode.survey import SAG, SWING
@@ -127,12 +127,12 @@ def foretold_by_others(solution: Solution) -> tuple[FloatArray, FloatArray]:
     # groups of different sizes are filled up with what has nothing to do with anything
     of_group = precision[group[:, :, None], group[:, None]] * (member[:, :, None] & member[:, None])
     of_group += np.eye(group.shape[1]) * ~member[:, :, None]
-    covariance = solved(of_group, np.broadcast_to(np.eye(group.shape[1]), of_group.shape))
+    covariance, _ = solved_each(of_group, np.broadcast_to(np.eye(group.shape[1]), of_group.shape))
     every = np.arange(count)
     own = covariance[every, every - first]
     aside, variance = np.sum(own * np.where(member, pull[group], 0.0), axis=1), own[every, every - first]
-    # rounding makes a group's covariance anything where the others say nothing of it
-    told = (np.diagonal(covariance, axis1=1, axis2=2) > 0).all(axis=1)
+    # rounding makes a group's precision anything where the others say nothing of it
+    told = np.isfinite(variance)
     variance = np.where(told, variance, np.inf)
     return np.where(told, aside, 0.0), np.maximum(variance - white * solution.inflation, 0.0)
 

@@ -28,8 +28,10 @@ CANDIDATES, CANDIDATES_APART = 4, 8
 """Candidates of the search that are refined; the second where another wire is in the way, which is among them."""
 COMPARED, COMPARED_SHARE = 32, 0.9
 """Samples of a refined curve that a candidate is compared at, and the share of them that must be near."""
-VALLEY_NODES = 9
-"""Curves along the valley that are projected; the others between them are interpolated."""
+NODES = np.polynomial.chebyshev.chebpts1(9)
+"""Curves along the valley that are projected, from -1 to 1; the others between them are interpolated."""
+THROUGH_NODES = np.linalg.inv(np.polynomial.chebyshev.chebvander(NODES, len(NODES) - 1))
+"""Coefficients (9, 9) of Chebyshev's polynomials by the values at those."""
 RIVAL_APART_PX = 3.0
 RIVAL_MIN_PX = 16
 RIVAL_WORTH_A_LOOK = 0.6
@@ -173,11 +175,9 @@ def _along_the_valley(image: GreyImage, found: Matched, conductor: SiteConductor
         return []
     # a pixel's way along the valley is smooth: a polynomial through a few exact curves gives the others
     middle, half = 0.5 * (amounts[0] + amounts[-1]), 0.5 * (amounts[-1] - amounts[0])
-    nodes = np.polynomial.chebyshev.chebpts1(VALLEY_NODES)
-    exact = np.stack([pixels(float(middle + half * node)) for node in nodes])
-    through = np.linalg.inv(np.polynomial.chebyshev.chebvander(nodes, VALLEY_NODES - 1))
-    wanted = np.polynomial.chebyshev.chebvander((amounts - middle) / max(half, 1e-12), VALLEY_NODES - 1)
-    curves = np.tensordot(wanted @ through, exact, axes=1)
+    exact = np.stack([pixels(float(middle + half * node)) for node in NODES])
+    wanted = np.polynomial.chebyshev.chebvander((amounts - middle) / max(half, 1e-12), len(NODES) - 1)
+    curves = np.tensordot(wanted @ THROUGH_NODES, exact, axes=1)
     place, side = lines(found.track.members[:, some], found.track.width[some])
     response = line_response(image, curves, normals(curves), place, side)
     # one more sample that shows nothing: a curve that is out of the frame is no good one

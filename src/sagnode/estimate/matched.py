@@ -137,7 +137,7 @@ def of_blocks(observed: Observed, value: NDArray[np.bool_], t: FloatArray) -> ND
 
 
 def _share(track: Track, some: NDArray[np.bool_]) -> float:
-    return float(np.clip(np.abs(np.gradient(track.t))[some].sum(), 0.0, 1.0))
+    return min(max(float(track.pace[some].sum()), 0.0), 1.0)
 
 
 def attachment_z(matched: Matched) -> float:

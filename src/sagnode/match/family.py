@@ -47,7 +47,7 @@ class Family:
         ends = np.array(sag_range)
         low, high = loaded_profile(np.full(2, np.hypot(rise[0], rise[1])), rise[2], ends, t, view.load) / ends[:, None]
         bend = (high - low) / (ends[1] ** 2 - ends[0] ** 2)
-        ahead, aside, back = gravity_direction(view.near, view.far, np.array([0.0, 0.5, 1.0]) * np.pi)
+        ahead, aside, back = (gravity_direction(view.near, view.far, turn * np.pi) for turn in (0.0, 0.5, 1.0))
         middle = 0.5 * (ahead + back)
         turn = np.stack([middle, 0.5 * (ahead - back), aside - middle]) @ view.pose.rotation.T
         chord = (view.near + t[:, None] * rise - view.pose.position) @ view.pose.rotation.T

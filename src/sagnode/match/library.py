@@ -254,5 +254,5 @@ def _movements(
     spread = attachment_u * np.linalg.norm(across, axis=1) * np.hypot(1 - t, t)
     rise = view.far - view.near
     depth = loaded_profile(float(np.hypot(rise[0], rise[1])), float(rise[2]), sag, t, view.load)
-    down, turned = gravity_direction(view.near, view.far, np.array([0.0, 1e-3]))
+    down, turned = (gravity_direction(view.near, view.far, swing) for swing in (0.0, 1e-3))
     return spread, np.abs(across @ down) * depth / sag, np.abs(across @ (turned - down)) * 1e3 * depth

@@ -217,4 +217,6 @@ def block_starts(arc: FloatArray, block_px: float) -> NDArray[np.int64]:
     """First sample of each of the equal blocks that come nearest to ``block_px``."""
     count = max(1, round(float(arc[-1]) / block_px))
     member = np.minimum((arc * (count / max(float(arc[-1]), 1e-9))).astype(np.int64), count - 1)
-    return np.flatnonzero(np.diff(member, prepend=-1)).astype(np.int64, copy=False)
+    first = np.ones(len(member), dtype=bool)
+    np.not_equal(member[1:], member[:-1], out=first[1:])
+    return np.flatnonzero(first).astype(np.int64, copy=False)

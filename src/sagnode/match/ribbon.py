@@ -42,8 +42,10 @@ def normals(pixels: FloatArray) -> FloatArray:
 
 def arc_length(pixels: FloatArray) -> FloatArray:
     """Cumulative length (N,) of one polyline (N, 2), px."""
-    steps = np.hypot(*np.diff(pixels, axis=0).T)
-    return np.concatenate([[0.0], np.cumsum(steps)])
+    steps = pixels[1:] - pixels[:-1]
+    length = np.zeros(len(pixels))
+    np.cumsum(np.hypot(steps[:, 0], steps[:, 1]), out=length[1:])
+    return length
 
 
 def straighten(image: GreyImage | Singles, pixels: FloatArray, normal: FloatArray, offsets: FloatArray) -> Singles:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,6 +38,11 @@ class Track:
     width: FloatArray
     arc: FloatArray
     members: FloatArray
+
+    @cached_property
+    def pace(self) -> FloatArray:
+        """Share of the span's horizontal length that goes with each sample (N,)."""
+        return np.abs(np.gradient(self.t))
 
     def wires(self) -> list[FloatArray]:
         """Polylines (N, 2) of the wires themselves."""
