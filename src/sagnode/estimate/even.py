@@ -181,7 +181,8 @@ def _along_the_valley(image: GreyImage, found: Matched, conductor: SiteConductor
     place, side = lines(found.track.members[:, some], found.track.width[some])
     response = line_response(image, curves, normals(curves), place, side)
     # one more sample that shows nothing: a curve that is out of the frame is no good one
-    scores = np.nansum(response, axis=1) / (np.isfinite(response).sum(axis=1) + 1)
+    seen = np.isfinite(response)
+    scores = np.where(seen, response, np.float32(0)).sum(axis=1) / (np.count_nonzero(seen, axis=1) + 1)
     starts = []
     for _ in range(2):
         if not len(scores) or not np.isfinite(scores).any():

@@ -66,16 +66,17 @@ def _marginal(solution: Solution, survey: Survey, own: FloatArray) -> _Marginal:
     between, residual = others.T @ of_own, solution.products[:-1, -1]
     known = np.diag(1 / survey.prior_sigma()[free] ** 2)
     known[CAMERA, CAMERA] += solution.camera.precision
-    left = np.linalg.inv(solution.products[np.ix_(free, free)] + known)
-    # what the other unknowns can follow is no evidence, and they follow far: what little still pulls at them counts
-    follow = left @ between
     target = survey.prior_mean() / survey.prior_sigma() ** 2
     target[CAMERA] += solution.camera.vector
     rest = residual[free] + target[free] - known @ solution.theta[free]
+    right = np.column_stack([between, np.eye(len(free))[SWING]])
+    (solved,), _ = solved_each((solution.products[np.ix_(free, free)] + known)[None], right[None])
+    # what the other unknowns can follow is no evidence, and they follow far: what little still pulls at them counts
+    follow, of_swing = solved[:, :-1], solved[:, -1]
     seen = own.T @ of_own - between.T @ follow
     pull = of_own.T @ solution.residual - follow.T @ rest
-    swing = float(solution.theta[SWING] + left[SWING] @ rest)
-    return _Marginal(seen, pull, (swing, float(left[SWING, SWING])), follow[SWING])
+    swing = float(solution.theta[SWING] + of_swing @ rest)
+    return _Marginal(seen, pull, (swing, float(of_swing[SWING])), follow[SWING])
 
 
 def unevenness(solution: Solution, survey: Survey, load_us: Sequence[float]) -> list[Unevenness]:

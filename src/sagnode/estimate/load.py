@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from sagnode.capture.port import GreyImage
 from sagnode.estimate.evidence import Unevenness, log_odds, single_loads, unevenness
 from sagnode.estimate.joint import solve
@@ -13,7 +15,7 @@ from sagnode.estimate.matched import Matched, is_wire, looked_at, measured_share
 from sagnode.estimate.refinement import STAGES, refine, survey_of, view_of, weighed
 from sagnode.estimate.register import Registered
 from sagnode.estimate.starts import starts
-from sagnode.estimate.swings import Explanation, expected_swing, explanation, uneven_probabilities
+from sagnode.estimate.swings import Explanation, expected_swing, explanation, explanations, uneven_probabilities
 from sagnode.estimate.unexcluded import unexcluded
 from sagnode.estimate.weigh import settled
 from sagnode.geometry.camera import FloatArray
@@ -81,8 +83,8 @@ class Doubt:
 
     def as_uneven(self) -> list[Explanation]:
         """Uneven loads, by what the even one leaves over, as far as one step reaches."""
-        near = [each for each in (*self.singles, *self.strains) if each.misfit < ONE_STEP]
-        return [explanation(each.log_odds, *each.swing, self.swing_u) for each in near]
+        near = [(each.log_odds, *each.swing) for each in (*self.singles, *self.strains) if each.misfit < ONE_STEP]
+        return explanations(np.array(near).reshape(-1, 3), self.swing_u)
 
     def is_strained(self) -> bool:
         """Whether a light uneven load would take more off the misfit than a bare wire leaves."""

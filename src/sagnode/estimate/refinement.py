@@ -241,4 +241,5 @@ def remaining_stages(found: Matched) -> tuple[Stage, ...]:
 def _mixed_response(image: GreyImage, track: Track) -> float:
     """Mean response of a curve, half by length in the picture and half by length of the span, grey levels."""
     response = track.response(image, mixed_samples(track, SAMPLES))
-    return float(np.nanmean(response)) if np.isfinite(response).any() else 0.0
+    seen = np.isfinite(response)
+    return float(np.sum(response, where=seen)) / max(int(np.count_nonzero(seen)), 1)

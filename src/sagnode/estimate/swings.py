@@ -48,8 +48,16 @@ class Explanation(NamedTuple):
 
 def explanation(log_evidence: float, swing: float, swing_u: float, prior_u: float) -> Explanation:
     """From a posterior swing ± swing_u under a prior 0 ± prior_u (rad), its likelihood alone."""
-    precision = max(1 / swing_u**2 - 1 / prior_u**2, 1e-6 / prior_u**2)
-    return Explanation(log_evidence, swing / swing_u**2 / precision, 1 / precision)
+    (one,) = explanations(np.array([[log_evidence, swing, swing_u]]), prior_u)
+    return one
+
+
+def explanations(posteriors: FloatArray, prior_u: float) -> list[Explanation]:
+    """The same of many (N, 3): logarithm of the evidence, swing and its standard uncertainty of each."""
+    log_evidence, swing, swing_u = posteriors.T
+    precision = np.maximum(1 / swing_u**2 - 1 / prior_u**2, 1e-6 / prior_u**2)
+    told = np.stack([log_evidence, swing / swing_u**2 / precision, 1 / precision], axis=1)
+    return [Explanation(*each) for each in told.tolist()]
 
 
 def uneven_probabilities(

@@ -35,7 +35,9 @@ def whitened_products(
 
 def _kept(curve: CurveObservations) -> FloatArray:
     """What an error keeps of itself from one offset to the next (M,); nothing at the first."""
-    return np.asarray(np.exp(-np.diff(curve.arc, prepend=-np.inf) / CORRELATION_LENGTH_PX))
+    kept = np.zeros(len(curve.arc))
+    np.exp((curve.arc[:-1] - curve.arc[1:]) / CORRELATION_LENGTH_PX, out=kept[1:])
+    return kept
 
 
 def _whitened(

@@ -165,25 +165,28 @@ def _scatter(image: AnyGrey, stretch: Stretch, size: NDArray[np.int64], asked: N
     scatter = np.zeros(len(size))
     if not asked.any() or not (size > 1).all():
         return scatter
-    own = np.flatnonzero(np.repeat(asked, size))
     first = np.cumsum(size[asked]) - size[asked]
     starts = np.stack([first, first + size[asked] // 2], axis=1)
-    halves = replace(
-        stretch,
-        pixels=stretch.pixels.take(own, axis=0),
-        normal=stretch.normal.take(own, axis=0),
-        width=stretch.width.take(own),
-        half_range=stretch.half_range.take(own),
-        members=stretch.members.take(own, axis=1),
-        starts=starts.ravel(),
-        exact=False,
-    )
+    some = stretch if asked.all() else _of(stretch, np.flatnonzero(np.repeat(asked, size)))
+    halves = replace(some, starts=starts.ravel(), exact=False)
     seen = _seen(image, halves, np.zeros(1, dtype=np.int64))
     offset, sigma = (part.reshape(starts.shape) for part in seen.blocks[:2])
     excess = np.diff(offset, axis=1)[:, 0] ** 2 - np.sum(sigma**2, axis=1)
     # the mean of two values is as uncertain as half their difference
     scatter[asked] = 0.5 * np.sqrt(np.maximum(np.nan_to_num(excess), 0.0))
     return scatter
+
+
+def _of(stretch: Stretch, own: NDArray[np.intp]) -> Stretch:
+    """Some of the samples of a stretch."""
+    return replace(
+        stretch,
+        pixels=stretch.pixels.take(own, axis=0),
+        normal=stretch.normal.take(own, axis=0),
+        width=stretch.width.take(own),
+        half_range=stretch.half_range.take(own),
+        members=stretch.members.take(own, axis=1),
+    )
 
 
 def _seen(image: AnyGrey, stretch: Stretch, centres: NDArray[np.int64]) -> Seen:

@@ -14,7 +14,7 @@ typedef struct {
 /* Sums of products of the columns of the whitened rows (columns, columns), and the logarithm of the determinant, for
    one size; `room` holds two rows. */
 FOR_EACH_PROCESSOR
-static double weighed(const observed *of, double least_px, double share, double *room, double *sums)
+static double weighed(const observed *of, double least_px, double share, double *restrict room, double *restrict sums)
 {
     Py_ssize_t columns = of->columns;
     double variance = 1.0, spread = 0.0, *state = room, *whitened = room + columns;
@@ -33,9 +33,11 @@ static double weighed(const observed *of, double least_px, double share, double 
         }
         variance = before * white / total;
         spread += log(total);
-        for (Py_ssize_t i = 0; i < columns; i++)
+        for (Py_ssize_t i = 0; i < columns; i++) {
+            double own = whitened[i], *restrict to = sums + i * columns;
             for (Py_ssize_t j = i; j < columns; j++)
-                sums[i * columns + j] += whitened[i] * whitened[j];
+                to[j] += own * whitened[j];
+        }
     }
     for (Py_ssize_t i = 0; i < columns; i++)
         for (Py_ssize_t j = 0; j < i; j++)
