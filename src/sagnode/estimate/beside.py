@@ -142,6 +142,7 @@ def moved(own: Matched, before: Matched | None, after: Matched | None) -> bool:
     if before is None or after is None:
         return disturbed(own, [each for each in (before, after) if each is not None])
     if before.track is after.track:
+        # solved for again, perhaps, but where it was
         return False
     for one, other in ((before, after), (after, before)):
         beside = near_another(one.track, own.track, CLOSE_PX)

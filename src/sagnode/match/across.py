@@ -57,7 +57,9 @@ class Stretch:
 
     def block_sizes(self) -> NDArray[np.int64]:
         """Samples of each block (M,)."""
-        return np.diff(np.append(self.starts, len(self.pixels)))
+        ends = np.empty_like(self.starts)
+        ends[:-1], ends[-1] = self.starts[1:], len(self.pixels)
+        return ends - self.starts
 
 
 @dataclass(frozen=True)
