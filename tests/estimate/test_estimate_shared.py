@@ -1,9 +1,11 @@
 """What neighbouring offsets share is found from their residuals, and is what is usual where those say nothing."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
+from both_ways import in_numpy
 from solving import hanging
 
 from sagnode.estimate.camera import NOTHING_KNOWN
@@ -11,6 +13,8 @@ from sagnode.estimate.joint import solve
 from sagnode.estimate.offsets import CORRELATED_PX, CORRELATED_SHARE, correlated_error
 from sagnode.estimate.shared import GRID, LEVELS_PX, SHARES, evidence_of_sharing, shared_error
 from sagnode.survey import SAG
+
+WAYS = {"as installed": lambda call: call(), "in NumPy": in_numpy}
 
 
 def frame(seed, *asked, conductors=3, **words):
@@ -69,6 +73,22 @@ def test_the_evidence_is_that_of_the_offsets_covariance():
     found = evidence_of_sharing(survey, solution)
     np.testing.assert_allclose(found - found[0], np.array(expected) - expected[0], atol=1e-4)
     assert len(found) == len(LEVELS_PX) * len(SHARES)
+
+
+def weighing(solution):
+    return solution.precision, solution.spread
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_a_solution_knows_the_inverse_of_its_offsets_covariance(way):
+    """Whether the offsets share errors with their neighbours alone or, as under an uneven load, all along the wire."""
+    _, solution = frame(5, 0.03, conductors=1, count=40)[0]
+    together = np.diag(solution.white) + correlated_error(solution.curve)
+    expected, spread = np.linalg.inv(together), np.linalg.slogdet(together)[1]
+    for one in (solution, replace(solution, shared=correlated_error(solution.curve))):
+        inverse, own_spread = WAYS[way](partial(weighing, replace(one)))
+        np.testing.assert_allclose(inverse, expected, rtol=1e-9, atol=1e-9 * np.abs(expected).max())
+        assert own_spread == pytest.approx(spread, rel=1e-12)
 
 
 def test_what_is_found_makes_the_uncertainty_what_the_errors_are():

@@ -9,13 +9,13 @@ from solving import hanging
 from sagnode.config.load import load_span
 from sagnode.estimate.camera import CameraKnowledge
 from sagnode.estimate.joint import Solution, solve
-from sagnode.estimate.load_kinds import LOAD_U, any_single
+from sagnode.estimate.load_kinds import LOAD_U, any_single, kinds
 from sagnode.estimate.locate import locate
 from sagnode.estimate.offsets import CurveObservations
 from sagnode.estimate.register import register
 from sagnode.estimate.tell import propagate
 from sagnode.estimate.unexcluded import EXCLUDED, IN_FIVE, OPEN, unexcluded
-from sagnode.estimate.weigh import settled
+from sagnode.estimate.weigh import linear, settled
 from sagnode.pipeline import load_site, measure_burst
 from sagnode.quality import Validity
 from sagnode.scene.catenary import PointLoad, WireState
@@ -49,6 +49,33 @@ def test_what_a_load_would_do_counts_the_more_the_less_it_is_excluded(chance: fl
     # a quantity that every load moves by 0.3 to one side or the other
     there = 2.0 + 0.3 * np.where(np.arange(len(loads.probability)) % 2, 1.0, -1.0)
     assert loads.variance(2.0, there) == pytest.approx((share * IN_FIVE * 0.3) ** 2)
+
+
+def test_the_linear_step_is_that_of_all_unknowns_together() -> None:
+    """Against the plain formula, kind by kind with covariances as matrices and nothing eliminated."""
+    survey, solution = even_solution()
+    own = replace(survey, load_u=LOAD_U, load_prior=any_single(), swing_mean=0.1, swing_u=0.05)
+    logs, thetas, with_sag = linear(own, solution)
+    white, correlated = solution.noise
+    noise = (np.diag(white) + correlated) * solution.inflation
+    jacobian = solution.jacobian
+    seen = jacobian.T @ np.linalg.solve(noise, jacobian)
+    about = solution.residual + jacobian @ solution.theta
+    expected = []
+    for k, kind in enumerate(kinds()):
+        one = replace(own, load_prior=kind.prior)
+        known, mean = one.prior_information(), one.prior_mean()
+        covariance = np.linalg.inv(seen + known)
+        theta = covariance @ (jacobian.T @ np.linalg.solve(noise, about) + known @ mean)
+        sigma = np.sqrt(np.diag(covariance))
+        np.testing.assert_allclose(thetas[k] / sigma, theta / sigma, atol=1e-5)
+        np.testing.assert_allclose(with_sag[k] / sigma, covariance[:, SAG] / sigma, atol=1e-5 * sigma[SAG])
+        # how likely the offsets are before looking
+        total = noise + jacobian @ np.linalg.inv(known) @ jacobian.T
+        left = about - jacobian @ mean
+        evidence = -0.5 * (np.linalg.slogdet(total)[1] + left @ np.linalg.solve(total, left))
+        expected.append(np.log(kind.probability) + evidence)
+    np.testing.assert_allclose(logs - logs[0], np.array(expected) - expected[0], atol=1e-4)
 
 
 def test_the_linear_step_reaches_as_far_as_solving_for_any_load() -> None:
