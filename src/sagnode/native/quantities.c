@@ -75,6 +75,7 @@ typedef struct {
     double span, heading[2];
     Py_ssize_t count;
     double *along, *height, *below, *depth, *aside, *lower;
+    double *bends; /* what each term of a load adds to the depth over the sag (count, terms): the same for all shapes */
 } sampled;
 
 enum { SAMPLED = 6 };
@@ -112,8 +113,12 @@ static inline double along_of(const sampled *s, const double place[3])
 static void sample(const question *q, sampled *s)
 {
     double slope = s->of.chord[2] / s->span;
+    Py_ssize_t terms = s->of.load.shape[0];
     for (Py_ssize_t k = 0; k < s->count; k++) {
-        double t = number(&q->t, k), place[3], depth = depth_below(&s->of, t);
+        double t = number(&q->t, k), place[3], bent = 0.0;
+        for (Py_ssize_t term = 0; term < terms; term++)
+            bent += number(&s->of.load, term) * s->bends[k * terms + term];
+        double depth = even_depth(&s->of, t) + s->of.sag * bent;
         for (int i = 0; i < 3; i++)
             place[i] = s->of.near[i] + t * s->of.chord[i] + depth * s->of.down[i];
         double x = place[0] - s->of.near[0], y = place[1] - s->of.near[1], along = along_of(s, place);
@@ -208,11 +213,23 @@ static int ask(arrays *all, PyObject *const *words, question *q)
     return 0;
 }
 
+/* What the terms of a load add at every sample. */
+static void bend(const question *q, sampled *s)
+{
+    Py_ssize_t terms = q->load.shape[1];
+    for (Py_ssize_t k = 0; terms > 0 && k < s->count; k++) {
+        shapes each = first_shape(number(&q->t, k));
+        for (int term = 0; term < terms; term++)
+            s->bends[k * terms + term] = next_shape(&each, term + 1);
+    }
+}
+
 /* Room for the samples of one shape and its places above the ground, to be let go with free(); NULL without memory. */
 static point *room_for(const question *q, sampled *s)
 {
     Py_ssize_t count = s->count = q->t.shape[0], places = count + q->below.count + 2 * q->below.obstacles;
-    point *room = malloc((size_t)places * sizeof *room + SAMPLED * (size_t)count * sizeof(double));
+    size_t numbers = (size_t)(SAMPLED + q->load.shape[1]) * (size_t)count;
+    point *room = malloc((size_t)places * sizeof *room + numbers * sizeof(double));
     if (room == NULL) {
         PyErr_NoMemory();
         return NULL;
@@ -226,6 +243,8 @@ static point *room_for(const question *q, sampled *s)
     s->depth = each[3];
     s->aside = each[4];
     s->lower = each[5];
+    s->bends = first + SAMPLED * count;
+    bend(q, s);
     return room;
 }
 
