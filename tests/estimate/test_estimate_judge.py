@@ -11,6 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 from sagnode.config.load import load_span
+from sagnode.estimate import refinement
 from sagnode.estimate.even import find_even
 from sagnode.estimate.joint import solve
 from sagnode.estimate.judge import judge
@@ -107,6 +108,22 @@ def test_what_is_not_there_is_not_followed() -> None:
     beyond = (match.observed.t > HIDDEN_FROM + 0.03) & match.observed.usable
     assert beyond.mean() < 0.1, "texture is no wire, though a place is foretold"
     assert abs(match.solution.theta[SAG] - SAG_M) < 3 * np.sqrt(match.solution.covariance[SAG, SAG])
+
+
+@pytest.mark.parametrize(("moved", "taken"), [(1.0, True), (4.0, False)])
+def test_what_moves_a_wire_from_where_it_was_foretold_is_something_else(
+    monkeypatch: pytest.MonkeyPatch, moved: float, taken: bool
+) -> None:
+    site, conductor, match = along_the_line()
+    before = match.unaided
+    assert before is not None
+    theta = before.solution.theta.copy()
+    theta[SAG] += moved * before.sag[1]
+    more = replace(match, solution=replace(match.solution, theta=theta))
+    monkeypatch.setattr(refinement, "_foretold", lambda *_, **__: more)
+    registered, _ = register(site, np.zeros((8, 8), dtype=np.uint8))
+    after = completed(np.zeros((8, 8), dtype=np.uint8), conductor, registered, before, [])
+    assert (after is more) is taken
 
 
 def test_a_wire_is_proven_by_its_mean_or_by_the_odds() -> None:

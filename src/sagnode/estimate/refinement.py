@@ -52,6 +52,9 @@ STILL_SHOWN = 0.9
 """Share of the response of a curve under an uneven load that must be left when more of it is measured."""
 FORETOLD_SAMPLES = 60
 """Places along a curve where its uncertainty is worked out."""
+AGREED_Z, AGREED_SHARE = 3.0, 0.5
+"""Standard deviations by which blocks that are looked for where the rest foretells them may move sag and swing: of what
+they add, but not less than this share of what was uncertain before."""
 MAX_BLOCKS = 80
 """More blocks say nothing new: neighbours within a few dozen pixels share their error."""
 
@@ -138,10 +141,21 @@ def completed(
         again = _foretold(image, conductor, registered, found, others, block_px)
         if again is None or not again.solution.converged or measured_share(again) <= measured_share(found):
             continue
+        # the wire lies where it was foretold; what moves it farther than that was uncertain is something else
+        if not found.survey.load_u and not _agree(found.solution, again.solution):
+            break
         # an uneven load may bend away from the wire to please what is no wire's; an even one cannot
         if not found.survey.load_u or again.response > STILL_SHOWN * found.response:
             found = again
     return found
+
+
+def _agree(before: Solution, after: Solution) -> bool:
+    """Whether more blocks moved sag and swing as far as they may, by what they leave of the uncertainty (Hausman)."""
+    own = [SAG, SWING]
+    was, left = (np.diag(each.covariance)[own] for each in (before, after))
+    may = AGREED_Z * np.sqrt(np.maximum(was - left, AGREED_SHARE**2 * was))
+    return bool((np.abs(after.theta - before.theta)[own] <= may).all())
 
 
 def narrowed(
