@@ -210,3 +210,19 @@ def test_the_least_useful_make_room(view: View) -> None:
     proven = with_added([look(day, 1) for day in range(1, KEPT_MAX + 1)], look(12, 0))
     assert all(a.cut_at != NOON + timedelta(days=1) for a in proven)
     assert 0 < NEW_BELOW < 1
+
+
+def test_landmarks_that_one_movement_does_not_put_there_do_not_turn_the_camera(view: View) -> None:
+    before, _ = register(view.site, view.frame())
+    image = view.frame()
+    # two of them some pixels aside, as near as a similarity lets them be
+    for i in (0, 1):
+        u, v = np.round(view.places()[i]).astype(int)
+        aside = image[v - 24 : v + 25, u - 24 : u + 25].copy()
+        image[v - 22 : v + 27, u - 24 : u + 25] = aside
+    registered, reasons = register(view.site, image)
+    assert not reasons
+    assert registered.tracked is not None
+    assert not registered.tracked.found[[0, 1]].any()
+    assert registered.tracked.count >= 4
+    assert np.abs(registered.theta[:3] - before.theta[:3]).max() * view.site.intrinsics.fx < 0.5

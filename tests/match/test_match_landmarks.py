@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 
 from sagnode.geometry.camera import project
-from sagnode.match.landmarks import track
-from sagnode.match.patches import cut_patch
+from sagnode.match.landmarks import consensus, track
+from sagnode.match.patches import Patch, cut_patch
 from sagnode.scene.presets import simple_scene
 from sagnode.scene.render import render
 from sagnode.scene.spec import Moment, Scene
@@ -65,3 +65,22 @@ def test_a_patch_over_the_edge_or_without_texture_is_no_landmark() -> None:
     assert cut_patch(picture, (5.0, 50.0), 33) is None
     assert cut_patch(np.full((100, 100), 80, np.uint8), (50.0, 50.0), 33) is None
     assert cut_patch(picture, (50.0, 50.0), 33) is not None
+
+
+def test_landmarks_on_one_another_outvote_no_others() -> None:
+    # four tips of one far tower that look alike a few pixels aside, and five that stay where they were
+    apart = [(100.0, 300.0), (120.0, 90.0), (530.0, 110.0), (560.0, 330.0), (330.0, 400.0)]
+    tower = [(320.0, 200.0), (324.0, 206.0), (318.0, 212.0), (327.0, 214.0)]
+    square = np.zeros((33, 33), np.uint8)
+    patches = [Patch(np.array(pixel), square) for pixel in (*apart, *tower)]
+    options = [
+        # beside the place of a landmark is another that looks like it, as there is of many
+        [(0.0, 0.0, 0.95), (0.0, 4.0, 0.7)],
+        [(0.0, 0.0, 0.8)],
+        [(0.0, 0.0, 0.95), (0.0, 4.0, 0.7)],
+        [(0.0, 0.0, 0.95), (4.0, 4.0, 0.7)],
+        [(0.0, 0.0, 0.95), (4.0, 4.0, 0.7)],
+        *([(3.0, 4.0, 0.9)] for _ in tower),
+    ]
+    chosen = consensus(patches, options)
+    assert all(chosen[i][:2] == (0.0, 0.0) for i in range(len(apart)))

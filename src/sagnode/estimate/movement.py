@@ -24,6 +24,8 @@ FOCUS_U = 2e-4
 CENTRE_U_PX = 0.2
 SEEN_U_PX = 0.2
 """Standard uncertainty of a landmark found by the reference's patch in other light."""
+ASIDE_PX = 1.0
+"""Landmarks farther than this from where one movement of the camera puts them are not themselves."""
 
 
 @dataclass(frozen=True)
@@ -98,3 +100,23 @@ def movement(site: Site, anchor: Anchor, pixels: FloatArray, sigma: FloatArray, 
     spread = np.einsum("nik,kl,njl->nij", by_camera, covariance, by_camera)
     worst = np.sqrt(np.linalg.eigvalsh(spread)[:, -1])
     return Movement(project(intrinsics, pose, positions)[0] + anchor.offset, worst)
+
+
+def agreeing(
+    site: Site,
+    anchor: Anchor,
+    pixels: FloatArray,
+    sigma: FloatArray,
+    seen: NDArray[np.bool_],
+    least: int,
+) -> NDArray[np.bool_]:
+    """Those that fit one movement, found by leaving out the worst until all do; none where fewer than ``least`` do."""
+    seen = seen.copy()
+    while int(seen.sum()) >= least:
+        told = movement(site, anchor, pixels, sigma, seen)
+        aside = np.where(seen, np.hypot(*(pixels - told.pixels).T), 0.0)
+        worst = int(np.argmax(aside))
+        if aside[worst] <= ASIDE_PX:
+            return seen
+        seen[worst] = False
+    return np.zeros_like(seen)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sagnode.capture.port import GreyImage
-from sagnode.estimate.movement import SEEN_U_PX, Anchor, anchored, movement
+from sagnode.estimate.movement import ASIDE_PX, SEEN_U_PX, Anchor, agreeing, anchored, movement
 from sagnode.geometry.camera import FloatArray
 from sagnode.match.agreement import is_chance
 from sagnode.match.appearances import FOUND_U_PX, Appearance, Appearances, sightings
@@ -19,8 +19,6 @@ from sagnode.site import Site
 
 FORETOLD_PX = 3.0
 """Standard uncertainty above which the landmarks that were found foretell nothing of the others."""
-ASIDE_PX = 1.0
-"""Landmarks farther than this from where one movement of the camera puts them are not themselves."""
 SAME_PX = 2.0
 """Places nearer to each other than this are one."""
 _PEAKS_MAX = 5
@@ -85,7 +83,7 @@ def _anew(site: Site, anchor: Anchor, image: GreyImage, tracked: Tracked, kept: 
         if patch is not None:
             pixels[i], errors[i] = refine(image, patch, peak)
             seen[i] = True
-    seen = _agreeing(site, anchor, pixels, sigma, seen, needed + 1)
+    seen = agreeing(site, anchor, pixels, sigma, seen, needed + 1)
     if not seen.any():
         return tracked
     found = {i: peak for i, peak in chosen.items() if seen[i]}
@@ -98,26 +96,6 @@ def _anew(site: Site, anchor: Anchor, image: GreyImage, tracked: Tracked, kept: 
     plain = seen & np.array([i in found and found[i] not in by[i] for i in range(len(kept))], dtype=bool)
     places = {i: (pixels[i], float(errors[i]), by[i][peak]) for i, peak in found.items() if peak in by[i]}
     return _with_found(replace(tracked, pixels=pixels, sigma=errors), plain, places)
-
-
-def _agreeing(
-    site: Site,
-    anchor: Anchor,
-    pixels: FloatArray,
-    sigma: FloatArray,
-    seen: NDArray[np.bool_],
-    least: int,
-) -> NDArray[np.bool_]:
-    """Those that fit one movement, found by leaving out the worst until all do; none where fewer than ``least`` do."""
-    seen = seen.copy()
-    while int(seen.sum()) >= least:
-        told = movement(site, anchor, pixels, sigma, seen)
-        aside = np.where(seen, np.hypot(*(pixels - told.pixels).T), 0.0)
-        worst = int(np.argmax(aside))
-        if aside[worst] <= ASIDE_PX:
-            return seen
-        seen[worst] = False
-    return np.zeros_like(seen)
 
 
 def _with_found(

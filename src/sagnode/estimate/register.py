@@ -10,6 +10,7 @@ import numpy as np
 
 from sagnode.capture.port import GreyImage
 from sagnode.estimate.camera import NOTHING_KNOWN, CameraKnowledge, CameraSolution, LandmarkObservations, solve_camera
+from sagnode.estimate.movement import SEEN_U_PX, agreeing, anchored
 from sagnode.estimate.recognise import recognise
 from sagnode.geometry.camera import FloatArray
 from sagnode.match.appearances import Appearances
@@ -73,6 +74,7 @@ def register(site: Site, image: GreyImage, kept: Appearances = ()) -> tuple[Regi
     tracked = track(image, list(site.patches), site.max_movement_px + 8)
     possible = int(tracked.visible.sum())
     needed = min(max(MIN_LANDMARKS, math.ceil(MIN_SHARE * possible)), max(1, possible))
+    tracked = _moved_alike(site, tracked, needed)
     if kept:
         tracked = recognise(site, image, tracked, kept, needed)
     if tracked.count < needed:
@@ -104,6 +106,24 @@ def register(site: Site, image: GreyImage, kept: Appearances = ()) -> tuple[Regi
         )
         return registered, [Reason(Cause.BAD_CALIBRATION, text)]
     return registered, []
+
+
+def _moved_alike(site: Site, tracked: Tracked, needed: int) -> Tracked:
+    """The landmarks that one movement of the camera puts where they were found.
+
+    The agreement by which they were chosen is as wide as a similarity is wrong by for a camera that turns; several that
+    lie near each other may all be a few pixels aside, and would turn the camera.
+    """
+    if tracked.count < needed:
+        return tracked
+    sigma = np.where(tracked.found, np.maximum(tracked.sigma, SEEN_U_PX), SEEN_U_PX)
+    alike = agreeing(site, anchored(site), tracked.pixels, sigma, tracked.found, needed)
+    return replace(
+        tracked,
+        pixels=np.where(alike[:, None], tracked.pixels, np.nan),
+        sigma=np.where(alike, tracked.sigma, np.nan),
+        found=alike,
+    )
 
 
 def moved_survey(survey: Survey, movement_px: float) -> Survey:

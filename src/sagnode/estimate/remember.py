@@ -13,8 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sagnode.capture.port import GreyImage
-from sagnode.estimate.movement import SEEN_U_PX, Anchor, anchored, movement
-from sagnode.estimate.recognise import ASIDE_PX
+from sagnode.estimate.movement import ASIDE_PX, SEEN_U_PX, Anchor, anchored, movement
 from sagnode.estimate.register import register
 from sagnode.geometry.camera import FloatArray
 from sagnode.match.appearances import (

@@ -80,16 +80,20 @@ def track(frame: GreyImage, patches: list[Patch | None], reach_px: float) -> Tra
 
 
 def consensus(patches: Sequence[Patch | None], options: Sequence[Sequence[Peak]]) -> dict[int, Peak]:
-    """The peak of each landmark that fits the similarity which most landmarks share (weighted by correlation)."""
+    """The peak of each landmark that fits the similarity which most landmarks share (weighted by correlation).
+
+    Landmarks whose patches lie on one another are found by the same things, right or wrong, and share their votes.
+    """
     candidates = [(i, *peak) for i, own in enumerate(options) for peak in own]
     if not candidates:
         return {}
     index = np.array([c[0] for c in candidates])
     clicked = np.array([p.pixel if p is not None else (np.nan, np.nan) for p in patches])
+    votes = _votes(patches, sorted(set(index.tolist())))
     # pixels as complex numbers: a turn and scale is a factor
     place = clicked[index] @ np.array([1, 1j])
     shift = np.array([complex(c[1], c[2]) for c in candidates])
-    weight = np.array([c[3] for c in candidates])
+    weight = np.array([votes[c[0]] * c[3] for c in candidates])
     first, second = np.triu_indices(len(candidates), 1)
     baseline = place[second] - place[first]
     far = np.abs(baseline) >= LEAST_BASELINE_PX
@@ -112,6 +116,19 @@ def consensus(patches: Sequence[Patch | None], options: Sequence[Sequence[Peak]]
     best = int(np.argmax(total))
     picked = {i: int(own[best]) for i, own in nearest.items() if error[best, own[best]] <= AGREE_PX}
     return {i: (candidates[k][1], candidates[k][2], candidates[k][3]) for i, k in picked.items()}
+
+
+def _votes(patches: Sequence[Patch | None], offered: Sequence[int]) -> dict[int, float]:
+    """How much each of the landmarks that are offered a place counts: 1 over the patches that cover its own."""
+    squares = {i: (patch.pixel, patch.image.shape[0]) for i in offered if (patch := patches[i]) is not None}
+    covered = {
+        i: sum(
+            float(np.prod(np.clip(1 - np.abs(pixel - other) / max(side, wide), 0.0, 1.0)))
+            for other, wide in squares.values()
+        )
+        for i, (pixel, side) in squares.items()
+    }
+    return {i: 1 / covered[i] if i in covered else 1.0 for i in offered}
 
 
 def refine(frame: GreyImage, patch: Patch, peak: Peak) -> tuple[FloatArray, float]:
