@@ -11,6 +11,7 @@ library is needed, but root, /dev/fuse and loop devices are.
 import ctypes
 import errno
 import os
+import shutil
 import stat
 import struct
 import subprocess
@@ -18,6 +19,9 @@ import threading
 import time
 from pathlib import Path
 
+PROGRAMS = ("mkfs.ext4", "fsck.ext4", "losetup", "mount", "umount")
+PATH = ":".join([os.environ.get("PATH", os.defpath), "/usr/sbin", "/sbin"])
+"""An account's own path need not have what administers disks."""
 SECTOR = 512
 SUPERBLOCK = (2, 3)
 """ext4 counts on it that these are written in one piece: half of them is nothing that it can mount without e2fsck."""
@@ -37,6 +41,9 @@ def available():
     for device in ("/dev/fuse", "/dev/loop-control"):
         if not Path(device).exists():
             return f"a disk in user space needs {device}"
+    for program in PROGRAMS:
+        if shutil.which(program, path=PATH) is None:
+            return f"a disk in user space needs {program}"
     return None
 
 
@@ -185,7 +192,7 @@ class VolatileDisk(VolatileFile):
     def __exit__(self, *words):
         self.failing = False
         for command in (("umount", "-l", self.place), ("losetup", "-d", self.device)):
-            subprocess.run([str(word) for word in command], check=False, capture_output=True)
+            attempted(*command)
         super().__exit__(*words)
 
     def mount(self):
@@ -199,7 +206,7 @@ class VolatileDisk(VolatileFile):
         """Taken out while nobody uses it, looked over, and put in again as another device."""
         run("losetup", "-d", self.device)
         self.device = run("losetup", "--show", "-f", self.file).strip()
-        subprocess.run(["fsck.ext4", "-y", self.device], check=False, capture_output=True)
+        attempted("fsck.ext4", "-y", self.device)
         self.mount()
 
     def replace(self, image):
@@ -212,7 +219,12 @@ class VolatileDisk(VolatileFile):
 
 
 def run(*words):
-    done = subprocess.run([str(word) for word in words], capture_output=True, text=True)
+    done = attempted(*words)
     if done.returncode:
         raise OSError(done.returncode, f"{' '.join(map(str, words))}: {done.stderr.strip()}")
     return done.stdout
+
+
+def attempted(program, *words):
+    found = shutil.which(program, path=PATH) or program
+    return subprocess.run([found, *map(str, words)], check=False, capture_output=True, text=True)
