@@ -28,7 +28,14 @@ from sagnode.scene.spec import Moment
 from sagnode.survey import CAMERA, SAG
 
 ROOT = Path(__file__).resolve().parents[1]
-COLUMNS = ("limit", "with its landmarks", "and its blocks", "and what they share", "blocks reach over")
+COLUMNS = (
+    "limit",
+    "with its landmarks",
+    "and its blocks",
+    "and what they share",
+    "and the others' curves",
+    "blocks reach over",
+)
 WORDS = """\
 The least-squares limit of a frame takes every clicked landmark to be found again exactly, every pixel of the visible
 wire to be measured, and the sensor's noise for the only noise. What the node had of the very same frames takes the
@@ -41,11 +48,16 @@ conductors.
   What is lost here is lost to what stands behind the wire: texture, edges, other wires, which are no noise of the
   sensor.
 - **and what they share**: errors that neighbouring blocks have in common. This is what the node states.
+- **and the others' curves**: were the camera also held by what the span's other conductors say of it, as it would be in
+  one estimate for all (decision 2 says why there is none).
 - **blocks reach over**: share of the span between the first and the last block."""
 
 
-def terms(look: Look, name: str, found: Matched) -> list[float] | None:
-    """Standard uncertainties of sag, m, with more and more of what the node had; None without a wire in the frame."""
+def terms(look: Look, name: str, found: Matched, of_others: FloatArray) -> list[float] | None:
+    """Standard uncertainties of sag, m, with more and more of what the node had; None without a wire in the frame.
+
+    ``of_others`` (10, 10) is what the other conductors say of the camera.
+    """
     true = next(c for c in look.shot.scene.true.conductors if c.id == name)
     survey, solution = found.survey, found.solution
     theta = true_theta(survey, look.shot.scene, look.shot.moment, true)
@@ -53,12 +65,11 @@ def terms(look: Look, name: str, found: Matched) -> list[float] | None:
     whole = _summed(_wires(found, theta, look.picture, name, look.shot.moment))
     if whole is None:
         return None
-    white, correlated = solution.noise
     jacobian = solution.jacobian
-    blocks = jacobian.T @ (jacobian / white[:, None])
-    shared = jacobian.T @ np.linalg.solve(np.diag(white) + correlated, jacobian)
+    blocks = jacobian.T @ (jacobian / solution.white[:, None])
+    shared = _of_curve(found)
     own = look.registered.camera.precision
-    steps = [(landmarks, whole), (own, whole), (own, blocks), (own, shared)]
+    steps = [(landmarks, whole), (own, whole), (own, blocks), (own, shared), (own + of_others, shared)]
     reach = float(np.ptp(found.offsets.t))
     return [*(_sag_u(found, camera, curve) for camera, curve in steps), reach]
 
@@ -77,6 +88,21 @@ def _wires(
 def _summed(parts: Iterator[tuple[FloatArray, FloatArray]]) -> FloatArray | None:
     pieces = [(jacobian * weight[:, None]).T @ jacobian for jacobian, weight in parts]
     return np.asarray(sum(pieces)) if pieces else None
+
+
+def _of_curve(found: Matched) -> FloatArray:
+    """What the blocks of a conductor say of its unknowns (28, 28), with what neighbours share."""
+    return found.solution.products[:-1, :-1]
+
+
+def _of_camera(found: Matched) -> FloatArray:
+    """What the blocks of a conductor say of the camera (10, 10), whatever its attachments, sag and swing are."""
+    information = np.diag(1 / found.survey.prior_sigma() ** 2)
+    information[CAMERA, CAMERA] = 0.0
+    information += _of_curve(found)
+    rest = np.setdiff1d(found.survey.unknowns(), np.arange(CAMERA.stop))
+    both = information[CAMERA][:, rest]
+    return np.asarray(information[CAMERA, CAMERA] - both @ np.linalg.solve(information[np.ix_(rest, rest)], both.T))
 
 
 def _sag_u(found: Matched, camera: FloatArray, curve: FloatArray) -> float:
@@ -115,7 +141,13 @@ def main() -> int:
 
 
 def _rows(look: Look) -> list[list[float]]:
-    rows = [terms(look, name, found) for name, found in look.found.items() if not found.survey.load_u]
+    even = {name: found for name, found in look.found.items() if not found.survey.load_u}
+    say = {name: _of_camera(found) for name, found in even.items()}
+    nothing = np.zeros((CAMERA.stop, CAMERA.stop))
+    rows = []
+    for name, found in even.items():
+        of_others = sum((one for other, one in say.items() if other != name), nothing)
+        rows.append(terms(look, name, found, of_others))
     return [row for row in rows if row is not None]
 
 
