@@ -235,6 +235,14 @@ def test_an_uneven_load_is_told_only_where_the_wire_shows_nearly_all_along(share
         assert (Cause.NO_CONDUCTOR in [r.cause for r in reasons]) is refused
 
 
+@pytest.mark.parametrize("unlike", [False, True])
+def test_an_uneven_load_that_needs_a_wind_of_its_own_is_refused(unlike: bool) -> None:
+    site, conductor, match = along_the_line()
+    estimates, _ = propagate(site, conductor, match)
+    _, reasons = judge(site, conductor, replace(match, unlike_others=unlike), estimates)
+    assert (Cause.AMBIGUOUS in [r.cause for r in reasons]) is unlike
+
+
 @pytest.mark.parametrize(("count", "refused"), [(22, False), (18, True)])
 def test_an_uneven_load_is_told_only_by_more_blocks_than_it_has_unknowns(count: int, refused: bool) -> None:
     site, conductor, match = along_the_line()

@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 
 from sagnode.estimate.even import find_even
+from sagnode.estimate.load_kinds import LOAD_U
 from sagnode.estimate.matched import Matched, looked_at
 from sagnode.estimate.refinement import survey_of
 from sagnode.estimate.register import Registered
-from sagnode.estimate.wind import in_one_wind, sought_again
+from sagnode.estimate.wind import in_one_wind, sought_again, unlike_others
 from sagnode.scene.catenary import WireState
 from sagnode.scene.presets import simple_scene
 from sagnode.scene.render import Rendered, render
@@ -63,6 +64,19 @@ def test_what_its_own_picture_contradicts_is_not_believed(tmp_path: Path) -> Non
     site, picture, registered = span_of_three({"L1": 12.0, "L2": 12.0, "L3": -6.0}, tmp_path)
     alone = found_alone(site, picture, registered)
     assert in_one_wind(picture.image, site.conductors, registered, alone, {})["L3"] is alone["L3"]
+
+
+def test_a_wire_under_an_uneven_load_has_no_wind_of_its_own(tmp_path: Path) -> None:
+    site, picture, registered = span_of_three({"L1": 12.0, "L2": 12.0, "L3": -6.0}, tmp_path)
+    found = found_alone(site, picture, registered)
+    assert unlike_others(found) == set()
+    loaded = {name: replace(each, survey=replace(each.survey, load_u=LOAD_U)) for name, each in found.items()}
+    assert unlike_others(loaded) == {"L3"}
+    # where only two are seen, either may be wrong; a bare one is not
+    assert unlike_others({name: loaded[name] for name in ("L1", "L3")}) == {"L1", "L3"}
+    assert unlike_others({"L1": found["L1"], "L3": loaded["L3"]}) == {"L3"}
+    assert unlike_others({"L3": loaded["L3"]}) == set()
+    assert unlike_others(loaded | {"L1": replace(loaded["L1"], crowded=True)}) == {"L2", "L3"}
 
 
 @pytest.mark.parametrize("doubt", [{"or_of": "L1"}, {"crowded": True}, {"rival": 0.9}, {"doubtful_load": True}])

@@ -171,6 +171,12 @@ def _not_this_conductor(conductor: SiteConductor, found: Matched, sag: Estimate)
             " or ice on a part of the span makes; another wire, or a wrong survey"
         )
         reasons += [Reason(Cause.AMBIGUOUS, text), *_ice(found)]
+    if found.unlike_others:
+        text = (
+            f"under an uneven load it would be swung by {np.degrees(found.swing[0]):.0f}°, unlike any other conductor"
+            " of the span, and one wind swings all: another load, or another wire"
+        )
+        reasons += [Reason(Cause.AMBIGUOUS, text), *_ice(found)]
     low, high = conductor.survey.sag_range
     if not low - 2 * sag.u <= sag.value <= high + 2 * sag.u:
         text = f"sag {sag.value:.2f} m is outside the possible {low:g} to {high:g} m of the survey"

@@ -17,7 +17,7 @@ from sagnode.estimate.load import settle_loads
 from sagnode.estimate.matched import Matched, is_wire, looked_at, measured_share
 from sagnode.estimate.refinement import STAGES, completed, narrowed, refine, remaining_stages, survey_of
 from sagnode.estimate.register import Registered
-from sagnode.estimate.wind import in_one_wind, sought_again
+from sagnode.estimate.wind import in_one_wind, sought_again, unlike_others
 from sagnode.match.library import Shelf
 from sagnode.match.masks import runs_near
 from sagnode.site import Site, SiteConductor
@@ -44,7 +44,8 @@ def locate(
     they are compared: their swings, and what is left over, say whether the load of any may be uneven; what is followed
     under an uneven load is kept clear of the others likewise. Those that could as well be each other are marked. Last,
     what the others say of the wind makes surer what a picture leaves open, and what hangs evenly is solved for once
-    more with its offsets as uncertain as all that is known by then leaves them.
+    more with its offsets as uncertain as all that is known by then leaves them; what would need a wind of its own is
+    marked.
 
     ``shelf`` holds the libraries that frames of the same burst have drawn before. ``shared`` is what neighbouring
     offsets share, px and relative to their own, where the frame itself cannot tell.
@@ -80,7 +81,9 @@ def locate(
     clear = {name: None if own.crowded else own for name, own in located.items()}
     doubtful = exchangeable(site.conductors, registered, known | clear)
     marked = {name: replace(own, or_of=doubtful.get(name, "")) for name, own in located.items()}
-    return conclude(in_one_wind(image, measured, registered, marked, known), registered, shared)
+    concluded = conclude(in_one_wind(image, measured, registered, marked, known), registered, shared)
+    unlike = unlike_others(concluded)
+    return {name: replace(own, unlike_others=True) if name in unlike else own for name, own in concluded.items()}
 
 
 def _measured(

@@ -63,6 +63,8 @@ class Matched:
     """On a wire, but others run so near it all along that nothing of it can be measured by itself."""
     or_of: str = ""
     """Another conductor that may as well hang on this wire, while this one hangs on its or on one not found."""
+    unlike_others: bool = False
+    """Under this uneven load it would have to have a wind of its own."""
 
     @property
     def sag(self) -> tuple[float, float]:

@@ -97,6 +97,12 @@ def expected_swing(others: Sequence[Sequence[Explanation]], prior_u: float) -> t
     return mean, float(np.sqrt(weight @ ((common - mean) ** 2 + _spread(common))))
 
 
+def apart(one: tuple[float, float], other: tuple[float, float]) -> float:
+    """Standard uncertainties by which two swings, each with its own, rad, differ beyond what one wind makes them."""
+    spread = float(_spread(np.array(max(abs(one[0]), abs(other[0])))))
+    return abs(one[0] - other[0]) / float(np.sqrt(one[1] ** 2 + other[1] ** 2 + 2 * spread))
+
+
 def _spread(common: FloatArray) -> FloatArray:
     """Variance of a conductor's swing about some common ones."""
     return np.asarray(SPREAD[0] ** 2 + (SPREAD[1] * common) ** 2)

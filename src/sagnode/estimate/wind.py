@@ -21,7 +21,7 @@ from sagnode.estimate.judge import RIVAL_MAX
 from sagnode.estimate.matched import Matched, is_wire, looked_at
 from sagnode.estimate.refinement import STAGES, completed, refine, survey_of
 from sagnode.estimate.register import Registered
-from sagnode.estimate.swings import expected_swing, explanation
+from sagnode.estimate.swings import apart, expected_swing, explanation
 from sagnode.match.library import Shelf
 from sagnode.match.masks import runs_near
 from sagnode.site import SiteConductor
@@ -33,6 +33,9 @@ WORTHWHILE = 0.9
 """Share of its uncertainty of sag that the others' wind must leave at most, to be reckoned with."""
 CONTRADICTED_Z = 3.0
 """A swing farther than this many standard uncertainties from what the others let expect has a wind of its own."""
+UNLIKE_Z = 2.0
+"""A wire under an uneven load whose swing lies this far from that of every other has another load, or is another wire.
+Seen from the side a load and a swing bend the curve alike; of those that were told rightly none lay beyond 1.1."""
 STILL_SHOWN = 0.95
 """Share of the response that must be left of a curve that the wind has moved."""
 
@@ -102,6 +105,19 @@ def in_one_wind(
         if _left_of_sag_u(found, swing_u) < WORTHWHILE:
             others = [each for name, each in every.items() if each is not None and name != conductor.id]
             result[conductor.id] = _solved_in(image, conductor, registered, found, (swing, swing_u), others)
+    return result
+
+
+def unlike_others(located: Mapping[str, Matched]) -> set[str]:
+    """Conductors under an uneven load, by id, that would have to have a wind of their own."""
+    telling = {name: each for name, each in located.items() if each.solution.converged and not each.crowded}
+    result = set()
+    for name, each in telling.items():
+        others = [other for other in telling if other != name]
+        if each.survey.load_u and others:
+            nearest = min(apart(each.swing, telling[other].swing) for other in others)
+            if nearest > UNLIKE_Z:
+                result.add(name)
     return result
 
 
