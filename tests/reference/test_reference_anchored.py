@@ -3,7 +3,7 @@
 import cv2
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 
 from sagnode.reference.anchored import anchored_scores, best_anchored, draw_library
@@ -52,6 +52,7 @@ def test_scores_are_those_of_match_template_at_the_nine_places(mode):
     start=st.tuples(st.floats(-3.0, 60.0), st.floats(-3.0, 60.0)),
     width=st.floats(3.0, 380.0),
 )
+@example(seed=0, share=0.5, depth=0.0, start=(1.46875, 0.0), width=49.0)
 def test_any_curve_in_any_edges_scores_as_match_template_does(seed, share, depth, start, width):
     """The score that the paper uses, wherever the box stands and whatever part of it hangs out of the picture."""
     source, template = edge_picture(seed, share), curve(depth, start, width)
@@ -70,7 +71,8 @@ def test_any_curve_in_any_edges_scores_as_match_template_does(seed, share, depth
         if not len(library.index):
             assert not inside
         elif inside:
-            assert scores[0, row, column] == pytest.approx(literal[y, x], abs=1e-6)
+            # OpenCV sums in single precision, which a template that nearly fills its box makes the most of
+            assert scores[0, row, column] == pytest.approx(literal[y, x], abs=1e-5)
         else:
             assert scores[0, row, column] == -np.inf
 
