@@ -35,7 +35,8 @@ CONTRADICTED_Z = 3.0
 """A swing farther than this many standard uncertainties from what the others let expect has a wind of its own."""
 UNLIKE_Z = 2.0
 """A wire under an uneven load whose swing lies this far from that of every other has another load, or is another wire.
-Seen from the side a load and a swing bend the curve alike; of those that were told rightly none lay beyond 1.1."""
+Seen from the side a load and a swing bend the curve alike. Its swing was solved for as the others let expect it, so
+that chance alone takes it nowhere near as far."""
 STILL_SHOWN = 0.95
 """Share of the response that must be left of a curve that the wind has moved."""
 
