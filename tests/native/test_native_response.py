@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from both_ways import in_numpy
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from sagnode.match.ribbon import NO_BAND, pooled_response
@@ -37,14 +37,15 @@ def question(seed):
 
 @settings(max_examples=150, deadline=None)
 @given(st.integers(0, 2**32 - 1))
+@example(843)
 def test_the_response_is_that_of_numpy(seed):
     asked = question(seed)
     best, seen = pooled_response(*asked)
     expected, expected_seen = in_numpy(pooled_response, *asked)
     np.testing.assert_array_equal(seen, expected_seen)
-    # on the edge of two grid points the two may round apart
-    np.testing.assert_allclose(best[seen].astype(int), expected[seen].astype(int), atol=1)
-    assert np.mean(best[seen] != expected[seen]) < 0.01 if seen.any() else True
+    # on the edge of two grid points the two may round apart: by 1/32 px, between pixels that differ by up to 255
+    np.testing.assert_allclose(best[seen].astype(int), expected[seen].astype(int), atol=1 + 255 / 32)
+    assert np.count_nonzero(best[seen] != expected[seen]) <= max(1, 0.01 * np.count_nonzero(seen))
 
 
 @settings(max_examples=50, deadline=None)
