@@ -46,3 +46,9 @@ def test_where_several_blocks_show_the_far_half_none_of_them_counts_alone() -> N
     t = np.concatenate([NEAR, [0.4, 0.5, 0.6, 0.7]])
     _, whole = solved(t, np.random.default_rng(1).normal(0, 0.03, len(t)))
     assert not lone_block(whole).any()
+
+
+def test_the_tip_of_a_fold_may_decide_alone() -> None:
+    _, whole = solved(np.append(NEAR, 0.5), np.zeros(len(NEAR) + 1))
+    assert lone_block(whole)[SAG, SAG] > whole.covariance[SAG, SAG]
+    assert not lone_block(whole, len(NEAR)).any()

@@ -37,6 +37,9 @@ RIVAL_MIN_PX = 16
 RIVAL_WORTH_A_LOOK = 0.6
 OUTDONE = 0.83
 """Share of the response of a refined curve below which a candidate's score promises nothing that comes near it."""
+FLATTERED, ELSEWHERE_SHARE = 0.55, 0.7
+"""What a candidate's score is worth as a response (each of its samples is the best within a band), and the share of a
+refined curve near which a candidate runs that is the same."""
 RIVAL_SHOWN = 0.75
 """Share of a bundle's response that must show a spacing aside for that to be refined and compared."""
 RIVAL_RESPONSE = 2.0
@@ -82,7 +85,8 @@ def find_even(
     refined += [refine(image, conductor, survey, registered, start, [], STAGES[1:]) for start in valley]
     aside = _a_spacing_aside(image, results[0], conductor)
     refined += [refine(image, conductor, survey, registered, start, [], STAGES) for start in aside]
-    return best_of(image, refined)
+    found = best_of(image, refined)
+    return found and replace(found, rival=max(found.rival, _outdone_by(view, candidates, found)))
 
 
 def find_apart(
@@ -131,13 +135,27 @@ def best_of(image: GreyImage, refined: Sequence[Matched | None]) -> Matched | No
     return replace(finals[0], rival=rival)
 
 
-def _near_enough(view: View, candidate: Candidate, found: Matched) -> bool:
-    """Whether a candidate lies so near a refined curve that its own refinement would come to that one."""
+def _near_enough(view: View, candidate: Candidate, found: Matched, share: float = COMPARED_SHARE) -> bool:
+    """Whether a candidate lies near a refined curve, along more than a share of it.
+
+    By default so near that its own refinement would come to that one.
+    """
     track = found.track
     some = mixed_samples(track, COMPARED)
     pixels, _ = view.pixels(candidate.sag, candidate.swing, track.t[some])
     apart = np.abs(np.sum((pixels - track.pixels[some]) * track.normal[some], axis=1))
-    return bool(np.mean(apart < STAGES[1].half_range_px) > COMPARED_SHARE)
+    return bool(np.mean(apart < STAGES[1].half_range_px) > share)
+
+
+def _outdone_by(view: View, candidates: Sequence[Candidate], best: Matched) -> float:
+    """Response of the best candidate over that of what was found, if that is elsewhere; 0 if it is not.
+
+    A refinement may lose the wire that the search had found, and come to rest on half of it and something else.
+    """
+    first = max(candidates, key=lambda each: each.score)
+    if FLATTERED * first.score < RIVAL_WORTH_A_LOOK * best.response or _near_enough(view, first, best, ELSEWHERE_SHARE):
+        return 0.0
+    return FLATTERED * first.score / max(best.response, 1e-3)
 
 
 def _along_the_valley(image: GreyImage, found: Matched, conductor: SiteConductor) -> list[FloatArray]:

@@ -133,6 +133,12 @@ def _measured_at(matched: Matched) -> NDArray[np.bool_]:
     return of_blocks(matched.observed, shown, matched.track.t)
 
 
+def tip_of(matched: Matched) -> int | None:
+    """Which of a conductor's offsets is the tip of a fold; None where none is."""
+    observed = matched.observed
+    return None if observed.tip is None else int(np.count_nonzero(observed.usable[: observed.tip]))
+
+
 def of_blocks(observed: Observed, value: NDArray[np.bool_], t: FloatArray) -> NDArray[np.bool_]:
     """What is said of blocks (M,), said of places (N,) along the curve: each goes with the nearest block."""
     return np.asarray(value[np.searchsorted(0.5 * (observed.t[1:] + observed.t[:-1]), t)])

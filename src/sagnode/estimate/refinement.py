@@ -14,8 +14,9 @@ from sagnode.estimate.offsets import CurveObservations
 from sagnode.estimate.register import Registered, moved_survey
 from sagnode.estimate.weigh import solve_loads
 from sagnode.geometry.camera import FloatArray
+from sagnode.match.fold import axis_at, turn_of
 from sagnode.match.masks import Neighbour
-from sagnode.match.refine import Observed, observe
+from sagnode.match.refine import Observed, observe, with_tip
 from sagnode.match.templates import SAMPLES, View
 from sagnode.match.track import Track, mixed_samples, trace
 from sagnode.site import SiteConductor
@@ -55,6 +56,10 @@ FORETOLD_SAMPLES = 60
 AGREED_Z, AGREED_SHARE = 3.0, 0.5
 """Standard deviations by which blocks that are looked for where the rest foretells them may move sag and swing: of what
 they add, but not less than this share of what was uncertain before."""
+TIP_OPEN_PX = 0.5
+"""Standard uncertainty of a tip's place, px, from which a look at it tells something that the offsets do not."""
+TIP_RANGE_PX = (6, 16)
+"""Least and greatest distance from where it is foretold in which a tip is looked for."""
 MAX_BLOCKS = 80
 """More blocks say nothing new: neighbours within a few dozen pixels share their error."""
 
@@ -101,6 +106,8 @@ def refine(
             return None
         offsets = _offsets(observed, bent=survey.load_u > 0 and stage is STAGES[-1])
         solution = solve(survey, theta, registered.camera, offsets, stage.iterations)
+        if stage is STAGES[-1]:
+            observed, offsets, solution = _with_tip(image, survey, observed, offsets, solution, registered, others)
         theta = solution.theta
         view = view_of(survey, conductor, theta)
         curve = trace(view, float(theta[SAG]), float(theta[SWING]))
@@ -205,6 +212,7 @@ def _foretold(
     offsets = _offsets(observed, bent=found.survey.load_u > 0)
     solve_for = solve_loads if found.survey.load_u > 0 else solve
     solution = solve_for(found.survey, theta, registered.camera, offsets, STAGES[-1].iterations)
+    observed, offsets, solution = _with_tip(image, found.survey, observed, offsets, solution, registered, others)
     view = view_of(found.survey, conductor, solution.theta)
     curve = trace(view, float(solution.theta[SAG]), float(solution.theta[SWING]))
     if curve is None:
@@ -219,6 +227,39 @@ def _foretold(
         response=_mixed_response(image, curve),
         sighting=NOT_LOOKED_AT,
     )
+
+
+def _with_tip(
+    image: GreyImage,
+    survey: Survey,
+    observed: Observed,
+    offsets: CurveObservations,
+    solution: Solution,
+    registered: Registered,
+    others: Sequence[Neighbour],
+) -> tuple[Observed, CurveObservations, Solution]:
+    """What was seen and solved, with the tip of a fold, where the offsets leave it open and the picture shows it.
+
+    Not under an uneven load, whose terms bend to a tip as to anything.
+    """
+    turn = None if survey.load_u else turn_of(observed.track)
+    if turn is not None:
+        unsure = _uncertainty_at(survey, solution, observed.track, turn)
+        if unsure > TIP_OPEN_PX:
+            half_range = int(np.clip(np.ceil(FORETOLD_Z * unsure), *TIP_RANGE_PX))
+            tipped = with_tip(image, observed, turn, others, half_range)
+            if tipped is not None:
+                offsets = _offsets(tipped, bent=False)
+                again = solve(survey, solution.theta, registered.camera, offsets, STAGES[-1].iterations)
+                return tipped, offsets, again
+    return observed, offsets, solution
+
+
+def _uncertainty_at(survey: Survey, solution: Solution, track: Track, turn: int) -> float:
+    """Standard uncertainty of the solved curve along the axis of the fold where a track turns back, px."""
+    at = slice(turn, turn + 1)
+    place = CurveObservations(track.t[at], track.arc[at], axis_at(track, turn)[None], track.pixels[at], np.ones(1))
+    return float(curve_uncertainty(survey, solution, place)[0])
 
 
 def _offsets(observed: Observed, *, bent: bool) -> CurveObservations:

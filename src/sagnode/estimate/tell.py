@@ -13,7 +13,7 @@ import numpy as np
 from sagnode.estimate.judge import judge
 from sagnode.estimate.load_kinds import LOAD_U
 from sagnode.estimate.lone import lone_block
-from sagnode.estimate.matched import Matched, on_curve, visible_share
+from sagnode.estimate.matched import Matched, on_curve, tip_of, visible_share
 from sagnode.estimate.register import Registered
 from sagnode.geometry.camera import FloatArray, project
 from sagnode.geometry.quantities import Shape, clearance_place_u, conductor_temperature, quantities, quantities_of_many
@@ -123,7 +123,7 @@ def propagate(
     g[:, list(steps)] = (table[:, 1:-2:2] - table[:, 2:-2:2]) / (2 * np.array(list(steps.values())))
     pieces = found.solution.information(survey)
     if not survey.load_u:
-        pieces["one block alone"] = lone_block(found.solution)
+        pieces["one block alone"] = lone_block(found.solution, tip_of(found))
     linear = np.sum((g @ np.stack(list(pieces.values()))) * g, axis=-1)
     # half the second difference over one standard uncertainty of swing to both sides (JCGM 100, 5.1.2, note)
     second = 0.5 * (table[:, -2] + table[:, -1] - 2 * table[:, 0]) ** 2

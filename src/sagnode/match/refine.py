@@ -3,21 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sagnode.capture.port import GreyImage
 from sagnode.geometry.camera import FloatArray
+from sagnode.match.fold import fold_at
 from sagnode.match.kernels import MARGIN_PX
 from sagnode.match.localise import localise_beside
 from sagnode.match.masks import Neighbour, folds_back, others_near, pulled, reach_of
 from sagnode.match.standing import UNKNOWN_PX, stand_out, texture_sigma
+from sagnode.match.tip import BEHIND_PX, find_tip
 from sagnode.match.track import Track
 
 SHIFTS_PX = (16.0, -16.0, 23.0, -23.0, 31.0, -31.0, 11.0, -11.0)
 """Where the same curve is laid beside the wire to learn what the background alone looks like."""
+TIP_CLEAR_PX = 8.0
+"""Beyond the range in which a tip is looked for, what must be free of other wires."""
 HALVED_PX = 12.0
 """Length from which the halves of a block are long enough to be measured."""
 
@@ -41,6 +46,7 @@ class Observed:
         rank: share of shifted curves that look less like a wire here (M,), 0..1.
         usable: blocks inside the frame, ranked above the background, not near another wire (M,).
         masked: blocks left out because another wire runs there (M,).
+        tip: the block that is the tip of a fold instead, if that is beyond doubt.
     """
 
     track: Track
@@ -57,6 +63,7 @@ class Observed:
     rank: FloatArray
     usable: NDArray[np.bool_]
     masked: NDArray[np.bool_]
+    tip: int | None = None
 
 
 def observe(
@@ -117,4 +124,54 @@ def observe(
         rank=stood.rank,
         usable=stood.usable,
         masked=masked,
+    )
+
+
+def _block_at(observed: Observed, sample: int) -> int:
+    return int(np.argmin(np.abs(observed.arc - observed.track.arc[sample])))
+
+
+def with_tip(
+    image: GreyImage, observed: Observed, turn: int, others: Sequence[Neighbour], half_range: int
+) -> Observed | None:
+    """The same with the tip of a fold for the block there.
+
+    ``turn`` is the sample of the track at which it turns back, ``half_range`` how far along its axis the tip is looked
+    for, px, and ``others`` as in :func:`observe`. None where another
+    wire runs there, where the tip is not clear, and for a bundle, whose wires have a tip each.
+    """
+    track, block = observed.track, _block_at(observed, turn)
+    if len(track.members) > 1:
+        return None
+    if others_near(track, np.array([turn]), others, np.array([half_range + TIP_CLEAR_PX]))[0]:
+        return None
+    fold = fold_at(track, turn, BEHIND_PX + 3.0 * half_range)
+    tip = None if fold is None else find_tip(image, fold, half_range)
+    if fold is None or tip is None:
+        return None
+
+    def but(values: NDArray[Any], value: float) -> NDArray[Any]:
+        """The same array with another value at the tip's block."""
+        changed = values.copy()
+        changed[block] = value
+        return changed
+
+    pixel, normal = observed.pixel.copy(), observed.normal.copy()
+    pixel[block], normal[block] = fold.pixel, fold.axis
+    return replace(
+        observed,
+        t=but(observed.t, fold.t),
+        arc=but(observed.arc, float(track.arc[turn])),
+        pixel=pixel,
+        normal=normal,
+        offset=but(observed.offset, tip.offset),
+        sigma=but(observed.sigma, tip.sigma),
+        noise=but(observed.noise, tip.sigma),
+        half_range=but(observed.half_range, half_range),
+        texture=but(observed.texture, 0.0),
+        scatter=but(observed.scatter, 0.0),
+        rank=but(observed.rank, 1.0),
+        usable=but(observed.usable, True),
+        masked=but(observed.masked, False),
+        tip=block if tip.sure else None,
     )
