@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from sagnode.geometry.camera import project
+from sagnode.geometry.camera import Intrinsics, project
 from sagnode.match.agreement import chance_places, expected_by_chance, is_chance
 from sagnode.match.landmarks import consensus, track
 from sagnode.match.patches import Patch, cut_patch, peaks
@@ -14,6 +14,7 @@ from sagnode.scene.presets import simple_scene
 from sagnode.scene.render import render
 
 REACH = 68.0
+LENS = Intrinsics(640, 480, 900.0, 900.0, 319.5, 239.5)
 CLICKS = [(120.0, 110.0), (520.0, 120.0), (330.0, 240.0), (130.0, 380.0), (500.0, 370.0), (320.0, 110.0)]
 
 
@@ -32,8 +33,8 @@ def test_landmarks_of_one_noise_are_not_recognised_in_another() -> None:
     for seed in range(30):
         image = smooth_noise(seed)
         options = [peaks(image, patch, REACH) if patch else [] for patch in patches]
-        agreed += len(consensus(patches, options)) >= 3
-        assert track(image, patches, REACH).count == 0
+        agreed += len(consensus(patches, options, LENS)) >= 3
+        assert track(image, patches, REACH, LENS).count == 0
     # without a look at the odds they would have been believed now and then
     assert agreed > 0
 
@@ -49,7 +50,7 @@ def test_three_true_landmarks_of_six_are_believed() -> None:
         if patch is not None:
             u, v = np.round(patch.pixel).astype(int)
             image[max(0, v - 30) : v + 31, max(0, u - 30) : u + 31] = 90
-    found = track(image, patches, 40.0).found
+    found = track(image, patches, 40.0, scene.intrinsics).found
     assert found[:3].all()
     assert not found[3:].any()
 
@@ -73,10 +74,10 @@ def test_landmarks_that_share_pixels_are_one() -> None:
     chosen = dict.fromkeys(range(5), (2.0, 1.0, 0.99))
     places = {i: patch for i in chosen if (patch := patches[i]) is not None}
     offered = dict.fromkeys(chosen, 1.0)
-    assert expected_by_chance(patches, places, chosen, offered, REACH) > 1e-4
+    assert expected_by_chance(patches, places, chosen, offered, REACH, LENS) > 1e-4
 
 
 def test_of_two_landmarks_nothing_is_said() -> None:
     image = smooth_noise(3)
     patches = patches_of(image, CLICKS[:2])
-    assert not is_chance(image, patches, [[(0.0, 0.0, 0.6)], []], {0: (0.0, 0.0, 0.6)}, REACH)
+    assert not is_chance(image, patches, [[(0.0, 0.0, 0.6)], []], {0: (0.0, 0.0, 0.6)}, REACH, LENS)

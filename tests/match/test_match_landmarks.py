@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from sagnode.geometry.camera import project
+from sagnode.geometry.camera import Intrinsics, project
 from sagnode.match.landmarks import consensus, track
 from sagnode.match.patches import Patch, cut_patch
 from sagnode.scene.presets import simple_scene
@@ -27,7 +27,7 @@ def test_sway_turn_and_dimmer_light_are_followed_to_a_tenth_of_a_pixel() -> None
     scene, still = simple_scene()
     patches = patches_of(scene, still)
     moved = replace(still, turn_rad=(0.012, -0.015, 0.01), exposure=0.55, seed=9)
-    tracked = track(render(scene, moved).image, patches, 40.0)
+    tracked = track(render(scene, moved).image, patches, 40.0, scene.intrinsics)
     seen = true_pixels(scene, moved)
     inside = (seen > 30).all(axis=1) & (seen < (609, 449)).all(axis=1)
     assert tracked.found[inside].all()
@@ -42,7 +42,7 @@ def test_other_pictures_have_no_landmarks() -> None:
     texture = np.random.default_rng(0).integers(0, 255, (480, 640)).astype(np.uint8)
     flat = np.full((480, 640), 90, np.uint8)
     for image in (texture, flat):
-        assert track(image, patches, 40.0).count < 3
+        assert track(image, patches, 40.0, scene.intrinsics).count < 3
 
 
 def test_one_landmark_that_moves_against_the_others_is_left_out() -> None:
@@ -54,7 +54,7 @@ def test_one_landmark_that_moves_against_the_others_is_left_out() -> None:
     piece = image[v - half : v + half + 1, u - half : u + half + 1].copy()
     image[v - half : v + half + 1, u - half : u + half + 1] = int(image[v - half, u - half])
     image[v - half : v + half + 1, u - half + 15 : u + half + 16] = piece
-    tracked = track(image, patches, 40.0)
+    tracked = track(image, patches, 40.0, scene.intrinsics)
     assert not tracked.found[0]
     assert tracked.found[1:].sum() >= 4
 
@@ -82,5 +82,5 @@ def test_landmarks_on_one_another_outvote_no_others() -> None:
         [(0.0, 0.0, 0.95), (4.0, 4.0, 0.7)],
         *([(3.0, 4.0, 0.9)] for _ in tower),
     ]
-    chosen = consensus(patches, options)
+    chosen = consensus(patches, options, Intrinsics(640, 480, 900.0, 900.0, 319.5, 239.5))
     assert all(chosen[i][:2] == (0.0, 0.0) for i in range(len(apart)))

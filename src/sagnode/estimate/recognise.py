@@ -73,7 +73,7 @@ def _anew(site: Site, anchor: Anchor, image: GreyImage, tracked: Tracked, kept: 
         others = {p: a for p, a in others.items() if all(np.hypot(p[0] - q[0], p[1] - q[1]) > SAME_PX for q in first)}
         options.append(sorted([*first, *others], key=lambda peak: -peak[2])[:_PEAKS_MAX])
         by.append(others)
-    chosen = consensus(patches, options)
+    chosen = consensus(patches, options, site.intrinsics)
     pixels, sigma, seen = tracked.pixels.copy(), np.full(len(kept), SEEN_U_PX), np.zeros(len(kept), dtype=bool)
     errors = tracked.sigma.copy()
     for i, peak in chosen.items():
@@ -91,7 +91,7 @@ def _anew(site: Site, anchor: Anchor, image: GreyImage, tracked: Tracked, kept: 
         by[i][found[i]].patch(clicked) if i in found and found[i] in by[i] else patch
         for i, (patch, clicked) in enumerate(zip(patches, site.landmark_clicks, strict=True))
     ]
-    if is_chance(image, used, options, found, reach):
+    if is_chance(image, used, options, found, reach, site.intrinsics):
         return tracked
     plain = seen & np.array([i in found and found[i] not in by[i] for i in range(len(kept))], dtype=bool)
     places = {i: (pixels[i], float(errors[i]), by[i][peak]) for i, peak in found.items() if peak in by[i]}

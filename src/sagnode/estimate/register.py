@@ -71,7 +71,7 @@ def register(site: Site, image: GreyImage, kept: Appearances = ()) -> tuple[Regi
         )
         solution = solve_camera(survey, seen)
         return Registered(solution.theta, solution.knowledge, seen, None, _landmark_rms(solution), None), []
-    tracked = track(image, list(site.patches), site.max_movement_px + 8)
+    tracked = track(image, list(site.patches), site.max_movement_px + 8, site.intrinsics)
     possible = int(tracked.visible.sum())
     needed = min(max(MIN_LANDMARKS, math.ceil(MIN_SHARE * possible)), max(1, possible))
     tracked = _moved_alike(site, tracked, needed)
@@ -111,7 +111,7 @@ def register(site: Site, image: GreyImage, kept: Appearances = ()) -> tuple[Regi
 def _moved_alike(site: Site, tracked: Tracked, needed: int) -> Tracked:
     """The landmarks that one movement of the camera puts where they were found.
 
-    The agreement by which they were chosen is as wide as a similarity is wrong by for a camera that turns; several that
+    The agreement by which they were chosen is wider than they can be found; several that
     lie near each other may all be a few pixels aside, and would turn the camera.
     """
     if tracked.count < needed:

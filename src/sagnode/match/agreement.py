@@ -15,8 +15,9 @@ from math import comb, exp, log, pi, sqrt
 import numpy as np
 
 from sagnode.capture.port import GreyImage
-from sagnode.geometry.camera import FloatArray
+from sagnode.geometry.camera import Intrinsics
 from sagnode.match.patches import Patch, Peak, correlations
+from sagnode.match.turning import ComplexArray, as_turns
 
 LEAST_BASELINE_PX = 50.0
 """Distance of two landmarks below which they cannot tell turn and scale."""
@@ -36,6 +37,7 @@ def is_chance(
     options: Sequence[Sequence[Peak]],
     chosen: Mapping[int, Peak],
     reach_px: float,
+    lens: Intrinsics,
 ) -> bool:
     """Whether landmarks may agree as they do in a picture that shows none of them.
 
@@ -47,16 +49,17 @@ def is_chance(
         options: places that each of them might be at.
         chosen: the place of each of those that agree.
         reach_px: how far from their clicks they were searched.
+        lens: of the camera.
     """
     if not chosen or sum(patch is not None for patch in patches) < 3:
         return False
     places = {i: own for i in chosen if (own := patches[i]) is not None}
     offered = {i: float(len(options[i])) for i in places}
-    if expected_by_chance(patches, places, chosen, offered, reach_px) <= CHANCE_MAX:
+    if expected_by_chance(patches, places, chosen, offered, reach_px, lens) <= CHANCE_MAX:
         return False
     # few agree: how many places as much alike would chance have offered?
     alike = {i: min(offered[i], chance_places(frame, patch, chosen[i], reach_px)) for i, patch in places.items()}
-    return expected_by_chance(patches, places, chosen, alike, reach_px) > CHANCE_MAX
+    return expected_by_chance(patches, places, chosen, alike, reach_px, lens) > CHANCE_MAX
 
 
 def expected_by_chance(
@@ -65,6 +68,7 @@ def expected_by_chance(
     chosen: Mapping[int, Peak],
     offered: Mapping[int, float],
     reach_px: float,
+    lens: Intrinsics,
 ) -> float:
     """Expected number of sets of landmarks that agree as closely by chance.
 
@@ -74,13 +78,14 @@ def expected_by_chance(
         chosen: where they are.
         offered: how many places chance offers each of them.
         reach_px: how far from their clicks they were searched.
+        lens: of the camera.
     """
     apart = _apart(places)
     clicked = np.array([places[i].pixel for i in apart])
-    shift = np.array([chosen[i][:2] for i in apart])
+    moved = as_turns(lens, clicked, np.array([chosen[i][:2] for i in apart]))
     window = (2 * reach_px + 1) ** 2
     # what fits the others by less is pulled towards them by the fit
-    radius = max(LEAST_RADIUS_PX, 2 * _misfit(clicked, shift))
+    radius = max(LEAST_RADIUS_PX, 2 * _misfit(*moved))
     longest = max(LEAST_BASELINE_PX, float(np.max(np.hypot(*(clicked[:, None] - clicked).transpose(2, 0, 1)))))
     likely_pair = min(1.0, 4 * MOST_SCALED * MOST_TURNED * longest**2 / window)
     fits = min(1.0, pi * radius**2 / window)
@@ -119,9 +124,9 @@ def _apart(places: Mapping[int, Patch]) -> list[int]:
     return kept
 
 
-def _misfit(clicked: FloatArray, shift: FloatArray) -> float:
-    """Greatest distance (px) of some places from the similarity that fits all of them best."""
-    start, end = (part @ np.array([1, 1j]) for part in (clicked, clicked + shift))
-    start, end = start - start.mean(), end - end.mean()
+def _misfit(place: ComplexArray, turn: ComplexArray) -> float:
+    """Greatest distance (px) of some places in the plane, turned so, from the similarity that fits all of them best."""
+    start, end = place - place.mean(), place + turn
+    end = end - end.mean()
     factor = np.vdot(start, end) / max(float(np.vdot(start, start).real), 1e-9)
     return float(np.max(np.abs(end - factor * start)))

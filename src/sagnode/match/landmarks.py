@@ -16,12 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sagnode.capture.port import GreyImage
-from sagnode.geometry.camera import FloatArray
+from sagnode.geometry.camera import FloatArray, Intrinsics
 from sagnode.match.agreement import LEAST_BASELINE_PX, MOST_SCALED, MOST_TURNED, is_chance
 from sagnode.match.patches import Patch, Peak, equalised, peaks
+from sagnode.match.turning import as_turns
 
 AGREE_PX = 4.0
-"""Landmarks that differ more than this from the shared shift, turn and scale are no longer themselves."""
+"""Landmarks that differ more than this from the shared turn and scale are no longer themselves."""
 TRACK_U_PX = 0.06
 """Standard uncertainty of a tracked position for a clear landmark."""
 
@@ -52,11 +53,11 @@ class Tracked:
         return int(self.found.sum())
 
 
-def track(frame: GreyImage, patches: list[Patch | None], reach_px: float) -> Tracked:
+def track(frame: GreyImage, patches: list[Patch | None], reach_px: float, lens: Intrinsics) -> Tracked:
     """Find patches within ``reach_px`` of where they were clicked.
 
-    Several correlation peaks are kept per landmark; the movement (shift, rotation, scale) that most landmarks share
-    decides which peak is meant and which landmarks are outliers.
+    Several correlation peaks are kept per landmark; the movement (turn and scale) that most landmarks share decides
+    which peak is meant and which landmarks are outliers.
     """
     n = len(patches)
     pixels, sigma, best = np.full((n, 2), np.nan), np.full(n, np.nan), np.zeros(n)
@@ -66,8 +67,8 @@ def track(frame: GreyImage, patches: list[Patch | None], reach_px: float) -> Tra
         options.append(found_peaks)
         best[i] = max((p[2] for p in found_peaks), default=0.0)
     found = np.zeros(n, dtype=bool)
-    chosen = consensus(patches, options)
-    if is_chance(frame, patches, options, chosen, reach_px):
+    chosen = consensus(patches, options, lens)
+    if is_chance(frame, patches, options, chosen, reach_px, lens):
         chosen = {}
     for i, peak in chosen.items():
         patch = patches[i]
@@ -79,8 +80,10 @@ def track(frame: GreyImage, patches: list[Patch | None], reach_px: float) -> Tra
     return Tracked(pixels, sigma, best, found, visible)
 
 
-def consensus(patches: Sequence[Patch | None], options: Sequence[Sequence[Peak]]) -> dict[int, Peak]:
-    """The peak of each landmark that fits the similarity which most landmarks share (weighted by correlation).
+def consensus(patches: Sequence[Patch | None], options: Sequence[Sequence[Peak]], lens: Intrinsics) -> dict[int, Peak]:
+    """The peak of each landmark that fits the movement which most landmarks share (weighted by correlation).
+
+    A movement is a turn of the camera and a change of scale: in the plane of :func:`as_turns`, a similarity.
 
     Landmarks whose patches lie on one another are found by the same things, right or wrong, and share their votes.
     """
@@ -90,9 +93,8 @@ def consensus(patches: Sequence[Patch | None], options: Sequence[Sequence[Peak]]
     index = np.array([c[0] for c in candidates])
     clicked = np.array([p.pixel if p is not None else (np.nan, np.nan) for p in patches])
     votes = _votes(patches, sorted(set(index.tolist())))
-    # pixels as complex numbers: a turn and scale is a factor
-    place = clicked[index] @ np.array([1, 1j])
-    shift = np.array([complex(c[1], c[2]) for c in candidates])
+    # places as complex numbers: a roll and scale is a factor
+    place, shift = as_turns(lens, clicked[index], np.array([c[1:3] for c in candidates]))
     weight = np.array([votes[c[0]] * c[3] for c in candidates])
     first, second = np.triu_indices(len(candidates), 1)
     baseline = place[second] - place[first]
@@ -100,7 +102,7 @@ def consensus(patches: Sequence[Patch | None], options: Sequence[Sequence[Peak]]
     first, second, baseline = first[far], second[far], baseline[far]
     factor = 1 + (shift[second] - shift[first]) / baseline
     possible = (np.abs(np.abs(factor) - 1) <= MOST_SCALED) & (np.abs(np.angle(factor)) <= MOST_TURNED)
-    # every candidate by itself says a shift, every pair a shift, turn and scale
+    # every candidate by itself says a turn aside, every pair a roll and scale too
     origin = np.concatenate([np.arange(len(candidates)), first[possible]])
     gain = np.concatenate([np.zeros(len(candidates)), factor[possible] - 1])
     predicted = shift[origin][:, None] + gain[:, None] * (place - place[origin][:, None])
