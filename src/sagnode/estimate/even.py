@@ -54,7 +54,7 @@ def find_even(
     ``shelf`` holds the libraries that frames of the same burst have drawn before.
     """
     view = view_of(survey, conductor, registered.theta)
-    candidates = _candidates(image, conductor, survey, view, shelf, CANDIDATES)
+    candidates = candidates_of(image, conductor, survey, view, shelf, CANDIDATES)
     results: list[Matched] = []
     for candidate in candidates:
         # a curve on the wire shows at least what the search saw of it; what the search saw of others is flattered
@@ -64,7 +64,7 @@ def find_even(
             break
         if any(r.solution.converged and _near_enough(view, candidate, r) for r in results):
             continue
-        start = _start(registered, candidate)
+        start = start_of(registered, candidate)
         results += filter(None, [refine(image, conductor, survey, registered, start, [], STAGES[:1])])
     if not results:
         return None
@@ -104,21 +104,22 @@ def find_apart(
     """
     view = view_of(survey, conductor, registered.theta)
     refined = [
-        refine(image, conductor, survey, registered, _start(registered, candidate), others, STAGES[-1:])
-        for candidate in _candidates(image, conductor, survey, view, shelf, CANDIDATES_APART)
+        refine(image, conductor, survey, registered, start_of(registered, candidate), others, STAGES[-1:])
+        for candidate in candidates_of(image, conductor, survey, view, shelf, CANDIDATES_APART)
     ]
     return best_of(image, [each for each in refined if each is not None and each.solution.converged])
 
 
-def _candidates(
+def candidates_of(
     image: GreyImage, conductor: SiteConductor, survey: Survey, view: View, shelf: Shelf | None, keep: int
 ) -> list[Candidate]:
+    """The best of the coarse search, ``keep`` at most, best first."""
     shelf = Shelf() if shelf is None else shelf
     library = shelf.take(conductor.id, view, survey.sag_range, conductor.swing_max, survey.attachment_u)
     return search(image, library, survey.swing_u, keep, survey.swing_mean)
 
 
-def _start(registered: Registered, candidate: Candidate) -> FloatArray:
+def start_of(registered: Registered, candidate: Candidate) -> FloatArray:
     """θ (28,) of a candidate, its camera as the landmarks have it."""
     start = registered.theta.copy()
     start[ATTACHMENTS] = 0.0

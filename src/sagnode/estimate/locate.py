@@ -15,6 +15,7 @@ from sagnode.estimate.exchange import exchangeable
 from sagnode.estimate.identity import tell_apart
 from sagnode.estimate.load import settle_loads
 from sagnode.estimate.matched import Matched, is_wire, looked_at, measured_share
+from sagnode.estimate.pairs import pair_up
 from sagnode.estimate.refinement import STAGES, completed, narrowed, refine, remaining_stages, survey_of
 from sagnode.estimate.register import Registered
 from sagnode.estimate.wind import in_one_wind, sought_again, unlike_others
@@ -38,8 +39,9 @@ def locate(
 ) -> dict[str, Matched]:
     """Find the measured conductors of a span, by id.
 
-    Every conductor, those that are only known about included, is first found alone under an even load. Where two were
-    found on one wire, one of them is looked for beside it. Those that run close to another are looked for and refined
+    Every conductor, those that are only known about included, is first found alone under an even load. Two that run so
+    near each other that neither was found clearly are looked for as a pair; where two were found on one wire, one of
+    them is looked for beside it. Those that run close to another are looked for and refined
     once more in the picture without the others, so that a neighbour cannot pull them, and all are completed. Then
     they are compared: their swings, and what is left over, say whether the load of any may be uneven; what is followed
     under an uneven load is kept clear of the others likewise. Those that could as well be each other are marked. Last,
@@ -52,6 +54,7 @@ def locate(
     """
     found_alone = {c.id: find_even(image, c, survey_of(c, registered), registered, shelf) for c in site.conductors}
     found_alone = sought_again(image, site.conductors, registered, found_alone, shelf)
+    found_alone = pair_up(image, site.conductors, registered, found_alone, shelf)
     told_apart = tell_apart(image, site.conductors, registered, found_alone, shelf)
     found = find_beside(image, site.conductors, registered, told_apart, shelf)
     measured = [c for c in site.conductors if c.measured]

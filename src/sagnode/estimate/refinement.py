@@ -104,7 +104,7 @@ def refine(
         observed = observe(image, curve, stage.half_range_px, others, block_px, stage.shifts, stage.run)
         if int(observed.usable.sum()) < 4:
             return None
-        offsets = _offsets(observed, bent=survey.load_u > 0 and stage is STAGES[-1])
+        offsets = offsets_of(observed, bent=survey.load_u > 0 and stage is STAGES[-1])
         solution = solve(survey, theta, registered.camera, offsets, stage.iterations)
         if stage is STAGES[-1]:
             observed, offsets, solution = _with_tip(image, survey, observed, offsets, solution, registered, others)
@@ -113,7 +113,7 @@ def refine(
         curve = trace(view, float(theta[SAG]), float(theta[SWING]))
     if solution is None or observed is None or offsets is None or curve is None:
         return None
-    response = _mixed_response(image, curve)
+    response = mixed_response(image, curve)
     return Matched(survey, solution, view, curve, observed, offsets, response)
 
 
@@ -125,7 +125,7 @@ def weighed(image: GreyImage, conductor: SiteConductor, registered: Registered, 
     curve = trace(view, float(solution.theta[SAG]), float(solution.theta[SWING]))
     if curve is None or not solution.converged:
         return found
-    response = _mixed_response(image, curve)
+    response = mixed_response(image, curve)
     return replace(found, solution=solution, view=view, track=curve, response=response, sighting=NOT_LOOKED_AT)
 
 
@@ -209,7 +209,7 @@ def _foretold(
     )
     if int(observed.usable.sum()) < 4:
         return None
-    offsets = _offsets(observed, bent=found.survey.load_u > 0)
+    offsets = offsets_of(observed, bent=found.survey.load_u > 0)
     solve_for = solve_loads if found.survey.load_u > 0 else solve
     solution = solve_for(found.survey, theta, registered.camera, offsets, STAGES[-1].iterations)
     observed, offsets, solution = _with_tip(image, found.survey, observed, offsets, solution, registered, others)
@@ -224,7 +224,7 @@ def _foretold(
         track=curve,
         observed=observed,
         offsets=offsets,
-        response=_mixed_response(image, curve),
+        response=mixed_response(image, curve),
         sighting=NOT_LOOKED_AT,
     )
 
@@ -249,7 +249,7 @@ def _with_tip(
             half_range = int(np.clip(np.ceil(FORETOLD_Z * unsure), *TIP_RANGE_PX))
             tipped = with_tip(image, observed, turn, others, half_range)
             if tipped is not None:
-                offsets = _offsets(tipped, bent=False)
+                offsets = offsets_of(tipped, bent=False)
                 again = solve(survey, solution.theta, registered.camera, offsets, STAGES[-1].iterations)
                 return tipped, offsets, again
     return observed, offsets, solution
@@ -262,7 +262,7 @@ def _uncertainty_at(survey: Survey, solution: Solution, track: Track, turn: int)
     return float(curve_uncertainty(survey, solution, place)[0])
 
 
-def _offsets(observed: Observed, *, bent: bool) -> CurveObservations:
+def offsets_of(observed: Observed, *, bent: bool) -> CurveObservations:
     """The usable blocks, as the joint estimate takes them.
 
     An even curve leaves texture aside, which then weighs little; what it moves all the same is reckoned with later. The
@@ -293,7 +293,7 @@ def remaining_stages(found: Matched) -> tuple[Stage, ...]:
     return STAGES[-1:] if found.solution.converged and followed and explained else STAGES[1:]
 
 
-def _mixed_response(image: GreyImage, track: Track) -> float:
+def mixed_response(image: GreyImage, track: Track) -> float:
     """Mean response of a curve, half by length in the picture and half by length of the span, grey levels."""
     response = track.response(image, mixed_samples(track, SAMPLES))
     seen = np.isfinite(response)
