@@ -13,7 +13,7 @@ from functools import partial
 from sagnode.capture.port import GreyImage
 from sagnode.estimate.combine import combine_burst
 from sagnode.estimate.explain import explain
-from sagnode.estimate.judge import look
+from sagnode.estimate.judge import borne_out, look
 from sagnode.estimate.locate import locate
 from sagnode.estimate.register import register
 from sagnode.estimate.tell import refused, tell
@@ -63,4 +63,4 @@ def _measured(site: Site, image: GreyImage, kept: Appearances, shelf: Shelf | No
     # match and refine, then solve: every conductor, known neighbours included
     located = locate(site, image, registered, shelf)
     # tell: the numbers and how sure they are, where the judgement lets them be told
-    return [tell(site, c, registered, located.get(c.id)) for c in site.conductors if c.measured]
+    return borne_out([tell(site, c, registered, located.get(c.id)) for c in site.conductors if c.measured])

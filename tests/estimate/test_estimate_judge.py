@@ -14,7 +14,7 @@ from sagnode.config.load import load_span
 from sagnode.estimate import refinement
 from sagnode.estimate.even import find_even
 from sagnode.estimate.joint import solve
-from sagnode.estimate.judge import judge
+from sagnode.estimate.judge import borne_out, judge
 from sagnode.estimate.load_kinds import LOAD_U
 from sagnode.estimate.matched import Matched, is_wire, looked_at, share_standing_out, visible_share
 from sagnode.estimate.refinement import completed, survey_of
@@ -22,8 +22,10 @@ from sagnode.estimate.register import register
 from sagnode.estimate.tell import propagate
 from sagnode.geometry.single_load import single_load_terms
 from sagnode.match.sight import Sighting
+from sagnode.measurement import FrameMeasurement
+from sagnode.message import Estimate
 from sagnode.pipeline import load_site
-from sagnode.quality import Cause, Validity
+from sagnode.quality import Cause, Reason, Validity
 from sagnode.scene.catenary import WireState
 from sagnode.scene.render import render
 from sagnode.scene.site import demo_site, site_directory
@@ -283,3 +285,33 @@ def test_a_wire_under_a_load_that_nothing_makes_is_another_wire(terms: NDArray[n
     assert (Cause.AMBIGUOUS in [r.cause for r in reasons]) is refused
     assert validity is (Validity.INVALID if refused else Validity.QUESTIONABLE)
     assert len(reasons) == len(set(reasons))
+
+
+def measured(name: str, validity: Validity, *causes: Cause) -> FrameMeasurement:
+    estimates = {} if validity is Validity.INVALID else {"sag": Estimate(2.0, 0.02, 1.96, 2.04)}
+    reasons = tuple(Reason(cause, cause.value) for cause in causes)
+    return FrameMeasurement(name, None, validity, reasons, "rational-bezier", estimates)
+
+
+@pytest.mark.parametrize(
+    ("others", "refused"),
+    [
+        ([], False),
+        ([measured("b", Validity.GOOD)], False),
+        ([measured("b", Validity.INVALID, Cause.UNCERTAIN)], False),
+        ([measured("b", Validity.INVALID, Cause.NO_CONDUCTOR)], True),
+        ([measured("b", Validity.INVALID, Cause.NO_CONDUCTOR), measured("c", Validity.GOOD)], False),
+        ([measured(name, Validity.INVALID, Cause.AMBIGUOUS) for name in "bc"], True),
+    ],
+)
+def test_what_may_hang_unevenly_is_told_only_beside_others_of_its_span(
+    others: list[FrameMeasurement], refused: bool
+) -> None:
+    loaded = measured("a", Validity.QUESTIONABLE, Cause.ICE_SUSPECT)
+    own, *rest = borne_out([loaded, *others])
+    assert rest == others
+    assert (own.validity is Validity.INVALID) == refused
+    assert bool(own.estimates) != refused
+    assert [r.cause for r in own.reasons] == [Cause.AMBIGUOUS] * refused + [Cause.ICE_SUSPECT]
+    even = measured("a", Validity.GOOD)
+    assert borne_out([even, *others])[0] is even

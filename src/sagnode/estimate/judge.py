@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -19,6 +21,7 @@ from sagnode.estimate.matched import (
     support,
     visible_share,
 )
+from sagnode.measurement import FrameMeasurement
 from sagnode.message import Estimate
 from sagnode.quality import Cause, Reason, Validity
 from sagnode.site import Site, SiteConductor
@@ -50,6 +53,8 @@ PRIOR_Z_MAX = 5.0
 LOAD_Z_MAX = 3.5
 """So do loads this many standard deviations from what one weight or one stretch of ice makes. Of 104 loaded wires of
 the suite (ice, weight, ice-side; seed 100005) none was farther than 2.9; other lines' wires were from 3.8 up."""
+NOT_SEEN = (Cause.NO_CONDUCTOR, Cause.AMBIGUOUS, Cause.OUTSIDE_LIMITS)
+"""Why a conductor that was refused bears no other one out."""
 RIVAL_MAX = 0.8
 """A different curve that responds this strongly where it parts from the best leaves open which one is meant."""
 
@@ -113,6 +118,30 @@ def judge(
         return Validity.INVALID, list(dict.fromkeys(invalid))
     doubtful = [*_doubts(site, found), *_exceeded(site, estimates)]
     return (Validity.QUESTIONABLE, doubtful) if doubtful else (Validity.GOOD, [])
+
+
+def borne_out(measured: Sequence[FrameMeasurement]) -> list[FrameMeasurement]:
+    """The measurements of a frame; what may hang unevenly is refused where no other conductor of the span is seen.
+
+    Another line's wire, in a span that is not to be seen, is told by nothing but that it hangs otherwise.
+    """
+    return [_alone(m) if _on_its_own_word(m, measured) else m for m in measured]
+
+
+def _on_its_own_word(own: FrameMeasurement, measured: Sequence[FrameMeasurement]) -> bool:
+    others = [m for m in measured if m is not own]
+    told = own.validity is not Validity.INVALID
+    uneven = any(reason.cause is Cause.ICE_SUSPECT for reason in own.reasons)
+    return told and uneven and bool(others) and all(any(r.cause in NOT_SEEN for r in m.reasons) for m in others)
+
+
+def _alone(own: FrameMeasurement) -> FrameMeasurement:
+    text = (
+        "it hangs, or may hang, as under an uneven load, and no other conductor of the span is found: so would a wire"
+        " of another line"
+    )
+    reasons = (Reason(Cause.AMBIGUOUS, text), *own.reasons)
+    return replace(own, validity=Validity.INVALID, reasons=reasons, estimates={}, budget={})
 
 
 def _not_a_wire(found: Matched) -> list[Reason]:
