@@ -231,6 +231,7 @@ def test_an_uneven_load_is_told_only_where_the_wire_shows_nearly_all_along(share
     blocks = np.linspace(0.0, 1.0, len(match.observed.t)) < share
     for little in (
         replace(uneven, sighting=standing_out),
+        replace(match, sighting=standing_out, other_weight=1.0),
         of_blocks_alone(uneven, blocks),
     ):
         _, reasons = judge(site, conductor, little, estimates)

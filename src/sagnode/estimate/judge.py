@@ -158,19 +158,19 @@ def _not_a_wire(found: Matched) -> list[Reason]:
     if visible < needed:
         text = f"only {100 * visible:.0f} % of the span is visible (needs {100 * needed:g} %)"
         return [Reason(Cause.TOO_LITTLE_VISIBLE, text), *_ice(found)]
-    return _hardly_shown(found) if found.survey.load_u else []
+    return _hardly_shown(found) if found.survey.load_u or found.other_weight >= 1 else []
 
 
 def _hardly_shown(found: Matched) -> list[Reason]:
-    """What an uneven load bends to, where that is hardly a wire."""
+    """What an uneven load bends to, or may have to, where that is hardly a wire."""
     blocks = len(found.solution.residual)
-    if blocks < UNEVEN_BLOCKS_MIN:
+    if blocks < UNEVEN_BLOCKS_MIN and found.survey.load_u:
         text = f"the wire hangs as under an uneven load, and only {blocks} places show it (needs {UNEVEN_BLOCKS_MIN})"
         return [Reason(Cause.TOO_LITTLE_VISIBLE, text), *_ice(found)]
     shown = min(support(found), shown_share(found))
     if shown < UNEVEN_SHOWN_MIN:
         text = (
-            "only a curve that an uneven load bends lies on anything like a wire, and that shows one in"
+            "only a curve that an uneven load bends, or may bend, lies on anything like a wire, and that shows one in"
             f" {100 * shown:.0f} % of it (needs {100 * UNEVEN_SHOWN_MIN:g} %)"
         )
         return [Reason(Cause.NO_CONDUCTOR, text), *_ice(found)]
