@@ -51,8 +51,8 @@ SAG_U_MAX = 0.04
 PRIOR_Z_MAX = 5.0
 """Corrections to the survey beyond this many of its own standard uncertainties mean another wire or a wrong survey."""
 LOAD_Z_MAX = 3.5
-"""So do loads this many standard deviations from what one weight or one stretch of ice makes. Of 104 loaded wires of
-the suite (ice, weight, ice-side; seed 100005) none was farther than 2.9; other lines' wires were from 3.8 up."""
+"""So do loads this many standard deviations from what one weight or one stretch of ice makes: wires that hang under one
+lie nearer than three, other lines' wires mostly farther than this."""
 NOT_SEEN = (Cause.NO_CONDUCTOR, Cause.AMBIGUOUS, Cause.OUTSIDE_LIMITS)
 """Why a conductor that was refused bears no other one out."""
 RIVAL_MAX = 0.8

@@ -137,8 +137,8 @@ def with_tip(
     """The same with the tip of a fold for the block there.
 
     ``turn`` is the sample of the track at which it turns back, ``half_range`` how far along its axis the tip is looked
-    for, px, and ``others`` as in :func:`observe`. None where another
-    wire runs there, where the tip is not clear, and for a bundle, whose wires have a tip each.
+    for, px, and ``others`` as in :func:`observe`. None where another wire runs there, where the tip is not clear, and
+    for a bundle, whose wires have a tip each.
     """
     track, block = observed.track, _block_at(observed, turn)
     if len(track.members) > 1:

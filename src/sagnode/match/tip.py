@@ -47,7 +47,7 @@ CONTRAST_MAX = 200.0
 """Greatest contrast of a wire, grey levels: what needs more is none."""
 LEAST_PX, UNLIKE = 0.25, 2.0
 """Least standard uncertainty, px, for a wire's shading, and a factor of the rows' own scatter: residuals go on from row
-to row. With both, errors on pictures of another renderer were 0.7 of what was stated."""
+to row."""
 ROWS_ALIKE = 3
 """Rows whose residuals are taken for one."""
 
