@@ -47,6 +47,9 @@ FOLLOWING = 4
 SHOWS_MORE = 1.05
 """Factor by which the picture must show more along a curve that followed an uneven load, for its offsets to count
 against an even one that was found without them."""
+FOLLOWED_SHARE = 0.3
+"""Share of the span that must be seen following a load for the swing under it to be believed: with less, its errors were
+twice as large as stated, from here on as stated."""
 TILTS = (-0.6, -0.3, 0.3, 0.6)
 """First terms of an uneven load that are searched where no even curve is found."""
 
@@ -137,8 +140,10 @@ def settle_loads(
     probable = _probable(explained, doubts)
     iced = max(probable) > SURELY
     uneven = [p > ASKED or iced for p in probable]
-    # what a light load would let the others expect holds for no heavy one, which the last explanation is
-    believed = [pair[1][-1:] if other else pair[0] for pair, other in zip(explained, uneven, strict=True)]
+    believed = [
+        _swing_told(each, found, pair[1]) if other else pair[0]
+        for each, found, pair, other in zip(doubts, followed, explained, uneven, strict=True)
+    ]
     settled: list[Matched | None] = []
     for k, (each, found) in enumerate(zip(doubts, followed, strict=True)):
         left_even = _left_even(each, probable[k], explained, k)
@@ -246,6 +251,17 @@ def _as_uneven(registered: Registered, each: Doubt, found: Matched | None) -> li
     odds = log_odds(found.solution, found.survey, simple, each.survey)
     by_following = explanation(odds, *found.swing, each.swing_u)
     return [by_following] if odds > 0 else [*each.as_uneven(), by_following]
+
+
+def _swing_told(each: Doubt, found: Matched | None, explained: list[Explanation]) -> list[Explanation]:
+    """What a conductor under an uneven load says of the wind: what was seen following it, where that was enough of it.
+
+    One step from an even curve that the load has bent goes astray where the load is heavy. If there is nothing else, it
+    is the last explanation, for heavy loads: what a light one would let the others expect holds for no heavy one.
+    """
+    if found is not None and found.solution.converged and measured_share(found) >= FOLLOWED_SHARE:
+        return [explanation(0.0, *found.swing, each.swing_u)]
+    return explained[-1:]
 
 
 def _refined(
