@@ -18,7 +18,7 @@ from typing import Literal
 import numpy as np
 
 from sagnode.estimate.joint import Solution, solve
-from sagnode.estimate.judge import SAG_U_MAX
+from sagnode.estimate.judge import most_sag_u
 from sagnode.estimate.matched import Matched
 from sagnode.estimate.offsets import CORRELATION_LENGTH_PX, CurveObservations
 from sagnode.estimate.refinement import STAGES
@@ -73,7 +73,7 @@ def _is_settled(match: Matched) -> bool:
     pieces = match.solution.information(match.survey, slice(SAG, SAG + 1))
     parts = {name: float(part[0, 0]) for name, part in pieces.items()}
     variance, of_curve = sum(parts.values()), sum(parts.get(name, 0.0) for name in OF_CURVE)
-    return variance <= (SAG_U_MAX * match.sag[0]) ** 2 and of_curve > WORTHWHILE * variance
+    return variance <= most_sag_u(match, match.sag[0]) ** 2 and of_curve > WORTHWHILE * variance
 
 
 def _judged(match: Matched, registered: Registered) -> Solution:

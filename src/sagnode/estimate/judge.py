@@ -46,8 +46,9 @@ UNEVEN_BLOCKS_MIN = 20
 """Blocks that must show a wire there: fewer leave little that could contradict the twelve unknowns of its shape."""
 UNEVEN_LANDMARKS_MIN = 0.6
 """Share of the landmarks that must be recognised there: in another scene, or a mirrored one, half may fit by chance."""
-SAG_U_MAX = 0.04
-"""Relative standard uncertainty of sag above which linear propagation no longer holds."""
+SAG_U_MAX, SPAN_U_MAX = 0.04, 0.0015
+"""Standard uncertainty of sag above which linear propagation no longer holds, as a share of the sag, and as a share of
+the span: a flat wire is no harder to see at a height than one that sags by a twenty-fifth of its span."""
 PRIOR_Z_MAX = 5.0
 """Corrections to the survey beyond this many of its own standard uncertainties mean another wire or a wrong survey."""
 LOAD_Z_MAX = 3.5
@@ -223,11 +224,18 @@ def _not_certain(found: Matched, sag: Estimate, allowance: float) -> list[Reason
         text = "the wire hangs as under an uneven load, ice or a weight on a part of the span, that cannot be followed"
         reasons.append(Reason(Cause.ICE_SUSPECT, text))
     # what is allowed for a load says nothing against the even one's propagation
-    share = math.sqrt(max(sag.u**2 - allowance**2, 0.0)) / max(sag.value, 1e-9)
-    if share > SAG_U_MAX:
+    u = math.sqrt(max(sag.u**2 - allowance**2, 0.0))
+    if u > most_sag_u(found, sag.value):
+        share = u / max(sag.value, 1e-9)
         text = f"standard uncertainty of sag is {100 * share:.1f} % of it; the view or the survey is too weak"
         reasons += [Reason(Cause.UNCERTAIN, text), *_ice(found)]
     return reasons
+
+
+def most_sag_u(found: Matched, sag: float) -> float:
+    """Greatest standard uncertainty of a sag, m, with which a conductor is told."""
+    span = float(np.linalg.norm(np.subtract(found.survey.far, found.survey.near)))
+    return max(SAG_U_MAX * sag, SPAN_U_MAX * span)
 
 
 def _not_this_scene(found: Matched, landmarks: float | None) -> list[Reason]:
