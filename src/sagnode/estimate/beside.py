@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from sagnode.capture.port import GreyImage
 from sagnode.estimate.even import best_of, find_apart, find_even, merit
 from sagnode.estimate.joint import curve_uncertainty
-from sagnode.estimate.matched import Matched, is_wire, looked_at, measured_share
+from sagnode.estimate.matched import Matched, is_wire, looked_at, may_be_wire, measured_share
 from sagnode.estimate.offsets import CurveObservations
 from sagnode.estimate.refinement import refine, remaining_stages, survey_of
 from sagnode.estimate.register import Registered
@@ -35,9 +35,6 @@ CLEAR_SHARE = 0.75
 """Share of usable blocks from which a conductor was found clearly, whatever runs beside it at a distance."""
 CLOSE_PX = 12.0
 """Distance within which another wire may have been followed instead."""
-TAKEN_CHANCE = 1e-4
-"""Chance of so many windows standing out from which a curve's wire is taken out: with others still in the picture, it
-cannot stand out from all the curves beside it."""
 DISTURBED_SHARE = 0.2
 """Share of a curve beside which others run from which they are in the way of finding it; less is left aside when it is
 measured."""
@@ -111,7 +108,7 @@ def find_beside(
         if taken and disturbed(own, taken, settles=conductor.measured):
             own = _again(image, conductor, registered, own, taken, shelf, anywhere=True)
         told[conductor.id] = own
-        if own is not None and _stands_out(without(image, own, taken).image, own):
+        if own is not None and may_be_wire(looked_at(without(image, own, taken).image, own)):
             taken.append(own)
     for conductor in surest:
         own = told[conductor.id]
@@ -190,12 +187,6 @@ def _again(
 
 def _any_wire(image: GreyImage, matches: Sequence[Matched | None]) -> bool:
     return any(each is not None and is_wire(looked_at(image, each)) for each in matches)
-
-
-def _stands_out(image: GreyImage, match: Matched) -> bool:
-    """Whether a curve lies on something that is worth taking out: less than what it takes to tell it."""
-    sighting = looked_at(image, match).sighting
-    return sighting.chance <= TAKEN_CHANCE
 
 
 def on_one_wire(one: Matched, other: Matched) -> bool:

@@ -9,7 +9,7 @@ import numpy as np
 
 from sagnode.capture.port import GreyImage
 from sagnode.estimate.even import find_apart, merit
-from sagnode.estimate.matched import Matched
+from sagnode.estimate.matched import Matched, looked_at, may_be_wire
 from sagnode.estimate.refinement import survey_of
 from sagnode.estimate.register import Registered
 from sagnode.match.library import Shelf
@@ -41,10 +41,19 @@ def tell_apart(
             continue
         aside_one = find_apart(image, one, survey_of(one, registered), registered, _wires(second), shelf)
         aside_other = find_apart(image, other, survey_of(other, registered), registered, _wires(first), shelf)
-        ways = [(moved, kept) for moved, kept in ((aside_one, second), (first, aside_other)) if moved and kept]
+        ways: list[tuple[Matched, Matched]] = []
+        if aside_one is not None and _lies_on_something(image, aside_one):
+            ways.append((aside_one, second))
+        if aside_other is not None and _lies_on_something(image, aside_other):
+            ways.append((first, aside_other))
         if ways:
             told[one.id], told[other.id] = max(ways, key=lambda pair: merit(pair[0]) + merit(pair[1]))
     return told
+
+
+def _lies_on_something(image: GreyImage, aside: Matched) -> bool:
+    """Whether a curve beside a wire lies on another: one on nothing must not drive away what lies on that wire."""
+    return may_be_wire(looked_at(image, aside))
 
 
 def _contested(one: Matched, other: Matched) -> bool:

@@ -48,8 +48,8 @@ SHOWS_MORE = 1.05
 """Factor by which the picture must show more along a curve that followed an uneven load, for its offsets to count
 against an even one that was found without them."""
 FOLLOWED_SHARE = 0.3
-"""Share of the span that must be seen following a load for the swing under it to be believed: with less, its errors were
-twice as large as stated, from here on as stated."""
+"""Share of the span that must be seen following a load for the swing under it to be believed: with less, its errors
+were twice as large as stated, from here on as stated."""
 TILTS = (-0.6, -0.3, 0.3, 0.6)
 """First terms of an uneven load that are searched where no even curve is found."""
 

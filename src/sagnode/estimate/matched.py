@@ -24,6 +24,9 @@ SCORE_MIN = 8.0
 CHANCE_MAX = 1e-8
 """or this chance of so many windows standing out: one in ten thousand, though the search chose among as many curves. A
 faint wire that crosses sky and trees stands out everywhere, but in their mean the trees drown it."""
+LIKELY_CHANCE = 1e-4
+"""The same chance of a curve that is worth taking for a wire until more is known: with others still in the picture, it
+cannot stand out from all the curves beside it."""
 SUPPORT_MIN = 0.30
 """Least share of the curve in view that must stand out; a window does so by chance once in twenty."""
 MEASURED_PX = 0.8
@@ -99,6 +102,11 @@ def is_wire(matched: Matched) -> bool:
     """Whether anything like a wire lies on the curve at all."""
     proven = matched.sighting.score >= SCORE_MIN or matched.sighting.chance <= CHANCE_MAX
     return proven and support(matched) >= SUPPORT_MIN
+
+
+def may_be_wire(matched: Matched) -> bool:
+    """Whether enough lies on the curve to reckon with a wire: less than what it takes to tell it."""
+    return matched.sighting.chance <= LIKELY_CHANCE
 
 
 def share_standing_out(matched: Matched) -> float:
