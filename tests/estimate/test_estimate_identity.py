@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 
+from sagnode.estimate import identity
 from sagnode.estimate.even import find_even
 from sagnode.estimate.identity import tell_apart
 from sagnode.estimate.matched import Matched
@@ -19,14 +20,15 @@ from sites import registered_site
 SAGS = {"L1": 1.9, "L2": 2.3}
 
 
-def beside(apart_m: float, folder: Path) -> tuple[Site, Rendered, Registered]:
-    """Two conductors whose attachments are so far apart, seen along the line."""
+def beside(apart_m: float, folder: Path, drawn: tuple[str, ...] = ("L1", "L2")) -> tuple[Site, Rendered, Registered]:
+    """Two conductors whose attachments are so far apart, seen along the line; those ``drawn`` are in the picture."""
     scene, moment = simple_scene(SAGS, seed=4, width=960, height=720)
     first, second = scene.surveyed.conductors
     near, far = ((first_end[0] + apart_m, *first_end[1:]) for first_end in (first.near, first.far))
     pair = (first, second.model_copy(update={"near": near, "far": far}))
     span = scene.surveyed.model_copy(update={"conductors": pair})
-    picture = render(replace(scene, true=span, surveyed=span), moment)
+    shown = replace(moment, wires={name: moment.wires[name] for name in drawn})
+    picture = render(replace(scene, true=span, surveyed=span), shown)
     site, registered = registered_site(span, scene.intrinsics, picture, folder)
     return site, picture, registered
 
@@ -55,6 +57,21 @@ def test_the_one_that_fits_better_keeps_the_wire(thief: str, tmp_path: Path) -> 
     for name, match in told.items():
         assert match is not None
         assert match.sag[0] == pytest.approx(SAGS[name], abs=0.02)
+
+
+@pytest.mark.parametrize("there", [True, False])
+def test_a_curve_beside_a_wire_must_lie_on_another_to_be_taken(
+    there: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    site, picture, registered = beside(0.6, tmp_path)
+    alone = found_alone(site, picture, registered)
+    if not there:
+        site, picture, registered = beside(0.6, tmp_path, drawn=("L2",))
+    # whatever is looked for beside L2's wire, L1 is found where it hangs, and L2 nowhere else
+    monkeypatch.setattr(identity, "find_apart", lambda _, conductor, *__: alone["L1"] if conductor.id == "L1" else None)
+    both = {"L1": alone["L2"], "L2": alone["L2"]}
+    told = tell_apart(picture.image, site.conductors, registered, both)
+    assert told == (alone if there else both)
 
 
 def test_wires_that_lie_apart_and_wires_that_are_not_there_stay_as_they_are(tmp_path: Path) -> None:

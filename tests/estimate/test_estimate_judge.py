@@ -15,10 +15,12 @@ from sagnode.estimate import refinement
 from sagnode.estimate.even import find_even
 from sagnode.estimate.joint import solve
 from sagnode.estimate.judge import borne_out, judge
+from sagnode.estimate.load import Doubt
 from sagnode.estimate.load_kinds import LOAD_U
 from sagnode.estimate.matched import Matched, is_wire, looked_at, share_standing_out, visible_share
 from sagnode.estimate.refinement import completed, survey_of
 from sagnode.estimate.register import register
+from sagnode.estimate.swings import explanation
 from sagnode.estimate.tell import propagate
 from sagnode.geometry.single_load import single_load_terms
 from sagnode.match.sight import Sighting
@@ -151,6 +153,37 @@ def test_seen_is_what_stands_out_or_was_measured() -> None:
     assert visible_share(unsure) == 0
 
 
+@pytest.mark.parametrize(("hidden", "followed"), [(False, True), (True, False)])
+def test_a_loaded_wire_tells_its_swing_by_what_was_seen_following_it_or_by_the_heaviest_load(
+    hidden: bool, followed: bool
+) -> None:
+    _, conductor, match = along_the_line(hidden=hidden)
+    own = Doubt(conductor, match.survey, match, [], [])
+    by_step = [explanation(0.0, swing, 0.02, own.swing_u) for swing in (0.1, 0.9)]
+    expected = [explanation(0.0, *match.swing, own.swing_u)] if followed else by_step[-1:]
+    assert own.swing_loaded(match, by_step) == expected
+    assert own.swing_loaded(None, by_step) == by_step[-1:]
+    unsettled = replace(match, solution=replace(match.solution, converged=False))
+    assert own.swing_loaded(unsettled, by_step) == by_step[-1:]
+
+
+@pytest.mark.parametrize(("span_share", "told"), [(0.0014, True), (0.0016, False)])
+def test_the_sag_of_a_flat_wire_may_be_as_uncertain_as_that_of_one_that_hangs_lower(
+    span_share: float, told: bool
+) -> None:
+    site, conductor, match = along_the_line()
+    estimates, _ = propagate(site, conductor, match)
+    span = float(np.linalg.norm(conductor.survey.far - conductor.survey.near))
+    flat = 0.02 * span
+    low, high = 0.5 * flat, conductor.survey.sag_range[1]
+    conductor = replace(conductor, survey=replace(conductor.survey, sag_range=(low, high)))
+    estimates["sag"] = estimates["sag"]._replace(value=flat, u=span_share * span)
+    estimates["inplane_sag"] = estimates["inplane_sag"]._replace(value=flat)
+    validity, reasons = judge(site, conductor, match, estimates)
+    assert (validity is not Validity.INVALID) is told, reasons
+    assert told or [r.cause for r in reasons] == [Cause.UNCERTAIN]
+
+
 def test_a_clear_wire_is_good() -> None:
     site, conductor, match = along_the_line()
     estimates, _ = propagate(site, conductor, match)
@@ -188,7 +221,7 @@ def test_each_defect_is_refused_by_its_name(change: str, cause: Cause) -> None:
     elif change == "nothing seen":
         match = replace(match, sighting=Sighting(0.0, np.zeros(len(match.track.t), dtype=bool)))
     elif change == "uncertain":
-        estimates = {**estimates, "sag": sag._replace(u=0.05 * sag.value)}
+        estimates = {**estimates, "sag": sag._replace(u=0.06 * sag.value)}
     else:
         estimates = {**estimates, "inplane_sag": sag._replace(value=conductor.survey.sag_range[1] + 1.0)}
     validity, reasons = judge(site, conductor, match, estimates)

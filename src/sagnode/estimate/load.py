@@ -89,6 +89,17 @@ class Doubt:
         near = [(each.log_odds, *each.swing) for each in (*self.singles, *self.strains) if each.misfit < ONE_STEP]
         return explanations(np.array(near).reshape(-1, 3), self.swing_u)
 
+    def swing_loaded(self, found: Matched | None, uneven: list[Explanation]) -> list[Explanation]:
+        """What it says of the wind under an uneven load: what was seen following it, where that was enough of it.
+
+        One step from an even curve that the load has bent goes astray where the load is heavy. If there is nothing
+        else, it is the last of the ``uneven`` explanations, for heavy loads: what a light one would let the others
+        expect holds for no heavy one.
+        """
+        if found is not None and found.solution.converged and measured_share(found) >= FOLLOWED_SHARE:
+            return [explanation(0.0, *found.swing, self.swing_u)]
+        return uneven[-1:]
+
     def is_strained(self) -> bool:
         """Whether a light uneven load would take more off the misfit than a bare wire leaves."""
         return any(each.surprise > DOUBTFUL for each in self.strains[:1])
@@ -141,7 +152,7 @@ def settle_loads(
     iced = max(probable) > SURELY
     uneven = [p > ASKED or iced for p in probable]
     believed = [
-        _swing_told(each, found, pair[1]) if other else pair[0]
+        each.swing_loaded(found, pair[1]) if other else pair[0]
         for each, found, pair, other in zip(doubts, followed, explained, uneven, strict=True)
     ]
     settled: list[Matched | None] = []
@@ -251,17 +262,6 @@ def _as_uneven(registered: Registered, each: Doubt, found: Matched | None) -> li
     odds = log_odds(found.solution, found.survey, simple, each.survey)
     by_following = explanation(odds, *found.swing, each.swing_u)
     return [by_following] if odds > 0 else [*each.as_uneven(), by_following]
-
-
-def _swing_told(each: Doubt, found: Matched | None, explained: list[Explanation]) -> list[Explanation]:
-    """What a conductor under an uneven load says of the wind: what was seen following it, where that was enough of it.
-
-    One step from an even curve that the load has bent goes astray where the load is heavy. If there is nothing else, it
-    is the last explanation, for heavy loads: what a light one would let the others expect holds for no heavy one.
-    """
-    if found is not None and found.solution.converged and measured_share(found) >= FOLLOWED_SHARE:
-        return [explanation(0.0, *found.swing, each.swing_u)]
-    return explained[-1:]
 
 
 def _refined(
