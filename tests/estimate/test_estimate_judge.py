@@ -16,12 +16,14 @@ from sagnode.estimate.even import find_even
 from sagnode.estimate.joint import solve
 from sagnode.estimate.judge import borne_out, judge
 from sagnode.estimate.load import Doubt
-from sagnode.estimate.load_kinds import LOAD_U
+from sagnode.estimate.load_kinds import LOAD_U, any_single
+from sagnode.estimate.lone import without_lone
 from sagnode.estimate.matched import Matched, is_wire, looked_at, share_standing_out, visible_share
-from sagnode.estimate.refinement import completed, survey_of
-from sagnode.estimate.register import register
+from sagnode.estimate.refinement import completed, offsets_of, survey_of
+from sagnode.estimate.register import Registered, register
 from sagnode.estimate.swings import explanation
 from sagnode.estimate.tell import propagate
+from sagnode.estimate.weigh import solve_loads
 from sagnode.geometry.single_load import single_load_terms
 from sagnode.match.sight import Sighting
 from sagnode.measurement import FrameMeasurement
@@ -47,13 +49,21 @@ class Found(NamedTuple):
 
 
 @cache
+def demo_picture() -> NDArray[np.uint8]:
+    """The demonstration's span."""
+    scene = demo_site().scene
+    wires = {c.id: WireState(SAG_M, 0.0) for c in scene.surveyed.conductors}
+    return render(scene, Moment(wires, seed=8)).image
+
+
+@cache
 def along_the_line(*, hidden: bool = False) -> Found:
     """The demonstration's conductor L2 as it is found, the far part of it painted over with what is behind it."""
     scene = demo_site().scene
     wires = {c.id: WireState(SAG_M, 0.0) for c in scene.surveyed.conductors}
     site = load_site(load_span(site_directory() / "span.toml").span)
     conductor = next(c for c in site.conductors if c.id == "L2")
-    image = render(scene, Moment(wires, seed=8)).image
+    image = demo_picture()
     if hidden:
         without = render(scene, Moment({n: w for n, w in wires.items() if n != conductor.id}, seed=8)).image
         match = along_the_line().match
@@ -182,6 +192,55 @@ def test_the_sag_of_a_flat_wire_may_be_as_uncertain_as_that_of_one_that_hangs_lo
     validity, reasons = judge(site, conductor, match, estimates)
     assert (validity is not Validity.INVALID) is told, reasons
     assert told or [r.cause for r in reasons] == [Cause.UNCERTAIN]
+
+
+def with_one_far_block(aside_px: float, *, texture: bool) -> tuple[Found, Registered, Matched]:
+    """A wire under an uneven load of which the near part is seen and one block at mid-span; and what is seen near."""
+    found = along_the_line()
+    registered, _ = register(found.site, demo_picture())
+    survey = replace(found.match.survey, load_u=LOAD_U, load_prior=any_single())
+    observed = found.match.observed
+    near = observed.usable & (observed.t < 0.12)
+    far = int(np.argmin(np.abs(observed.t - 0.5)))
+    assert observed.usable[far]
+    offset, sigma, noise = observed.offset.copy(), observed.sigma.copy(), observed.noise.copy()
+    offset[far] += aside_px
+    sigma[far] = 0.2
+    noise[far] = 0.05 if texture else 0.2
+    both = near.copy()
+    both[far] = True
+    several = replace(observed, offset=offset, sigma=sigma, noise=noise, texture=0 * observed.texture)
+
+    def solved_with(usable: NDArray[np.bool_]) -> Matched:
+        seen = replace(several, usable=usable)
+        offsets = offsets_of(seen, bent=True)
+        solution = solve_loads(survey, found.match.solution.theta, registered.camera, offsets, 24)
+        return replace(found.match, survey=survey, observed=seen, offsets=offsets, solution=solution)
+
+    return Found(found.site, found.conductor, solved_with(both)), registered, solved_with(near)
+
+
+@pytest.mark.parametrize("aside_px", [0.0, -3.0])
+def test_under_an_uneven_load_the_interval_holds_what_is_left_without_a_block_that_may_be_texture(
+    aside_px: float,
+) -> None:
+    (site, conductor, match), registered, near = with_one_far_block(aside_px, texture=True)
+    left = without_lone(match, registered, 24)
+    assert left is not None
+    assert len(left.residual) == len(near.solution.residual)
+    assert left.theta[SAG] == pytest.approx(near.solution.theta[SAG], abs=near.sag[1])
+    told = replace(match, without_lone=left)
+    before, after, alone = (
+        propagate(site, conductor, m)[0]["sag"] for m in (match, told, replace(match, solution=left))
+    )
+    assert alone.u > 2 * before.u, "the far block decides"
+    assert after.value == before.value
+    assert after.u == pytest.approx(np.hypot(alone.u, alone.value - before.value), rel=1e-6)
+
+
+def test_under_an_uneven_load_a_block_that_is_surely_the_wire_may_decide() -> None:
+    (_, _, match), registered, _ = with_one_far_block(0.0, texture=False)
+    assert without_lone(match, registered, 24) is None
 
 
 def test_a_clear_wire_is_good() -> None:

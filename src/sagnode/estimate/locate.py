@@ -14,6 +14,7 @@ from sagnode.estimate.even import find_even
 from sagnode.estimate.exchange import exchangeable
 from sagnode.estimate.identity import tell_apart
 from sagnode.estimate.load import settle_loads
+from sagnode.estimate.lone import without_lone
 from sagnode.estimate.matched import Matched, is_wire, looked_at, measured_share
 from sagnode.estimate.pairs import pair_up
 from sagnode.estimate.refinement import STAGES, completed, narrowed, refine, remaining_stages, survey_of
@@ -86,7 +87,14 @@ def locate(
     marked = {name: replace(own, or_of=doubtful.get(name, "")) for name, own in located.items()}
     concluded = conclude(in_one_wind(image, measured, registered, marked, known), registered, shared)
     unlike = unlike_others(concluded)
-    return {name: replace(own, unlike_others=True) if name in unlike else own for name, own in concluded.items()}
+    return {name: _asked(own, registered, unlike=name in unlike) for name, own in concluded.items()}
+
+
+def _asked(own: Matched, registered: Registered, *, unlike: bool) -> Matched:
+    """A located conductor; under an uneven load with what is left of it without a block that decides alone."""
+    loaded = own.survey.load_u > 0 and own.solution.converged and not unlike
+    left = without_lone(own, registered, STAGES[-1].iterations) if loaded else None
+    return replace(own, unlike_others=unlike, without_lone=left)
 
 
 def _measured(

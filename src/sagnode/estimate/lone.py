@@ -3,19 +3,37 @@
 Before hills or a tower's lattice, one block may be all that shows the far half of a span. The chance that it is texture
 is small, but known badly, and where it is, the estimate is wrong by many of its uncertainties. Where others say the
 same, leaving it out changes little.
+
+Under an even load one linear step tells what would be left. Under an uneven one other loads may be the likely ones
+without the block, and all of them are weighed again.
 """
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
+from numpy.typing import NDArray
 
 from sagnode.estimate.joint import Solution
+from sagnode.estimate.matched import Matched
+from sagnode.estimate.offsets import CurveObservations
+from sagnode.estimate.register import Registered
+from sagnode.estimate.steps import solved
+from sagnode.estimate.weigh import solve_loads
 from sagnode.geometry.camera import FloatArray
-from sagnode.survey import SAG
+from sagnode.geometry.conductor import load_shapes
+from sagnode.match.standing import chance_of
+from sagnode.survey import CAMERA, LOAD, SAG, SIZE
 
 ALONE = (1.5, 2.0)
 """Factor by which the uncertainty of sag grows without a block, from which that counts, and from which it counts in
 full. A block that weighs as much as all else together makes it 1.4."""
+MAY_DECIDE = 1.2
+"""The same factor, were the load any one and all else linear, from which loads are weighed without a block."""
+TEXTURE_CHANCE = 1e-3
+"""Chance that a block looked at texture from which it is asked about under an uneven load: what shows so plainly that
+it is less is the wire, and nothing else may be all there is of half a span."""
 
 
 def lone_block(solution: Solution, tip: int | None = None) -> FloatArray:
@@ -26,15 +44,72 @@ def lone_block(solution: Solution, tip: int | None = None) -> FloatArray:
 
     The ``tip`` of a fold is no such block: it is beyond doubt that no other place along the fold is.
     """
-    inverse = solution.precision / solution.inflation
-    weighed = inverse @ solution.jacobian
-    gain = solution.covariance @ weighed.T
-    own = np.diag(inverse) - np.einsum("mi,im->m", weighed, gain)
-    own = np.maximum(own, 1e-9 * np.diag(inverse))
+    gain, own = _leaving_out(solution, solution.covariance)
     growth = np.sqrt(1 + gain[SAG] ** 2 / own / max(solution.covariance[SAG, SAG], 1e-18))
     if tip is not None:
         growth[tip] = 1.0
     k = int(np.argmax(growth))
-    weight = float(np.clip((growth[k] - ALONE[0]) / (ALONE[1] - ALONE[0]), 0.0, 1.0))
-    pull = float(inverse[k] @ solution.residual)
+    weight = counts(float(growth[k]))
+    pull = float(solution.precision[k] @ solution.residual) / solution.inflation
     return np.asarray(weight * (1 + pull**2 / own[k]) / own[k] * np.outer(gain[:, k], gain[:, k]))
+
+
+def _leaving_out(solution: Solution, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """The gain G (28, M) of the offsets under a posterior, and what each says that the others do not, s (M,)."""
+    inverse = solution.precision / solution.inflation
+    weighed = inverse @ solution.jacobian
+    gain = covariance @ weighed.T
+    own = np.diag(inverse) - np.einsum("mi,im->m", weighed, gain)
+    return gain, np.maximum(own, 1e-9 * np.diag(inverse))
+
+
+def counts(growth: float) -> float:
+    """How much a block counts by the factor by which the uncertainty of sag grows without it, 0..1."""
+    return float(np.clip((growth - ALONE[0]) / (ALONE[1] - ALONE[0]), 0.0, 1.0))
+
+
+def without_lone(found: Matched, registered: Registered, iterations: int) -> Solution | None:
+    """A conductor under an uneven load solved for without the block that decides most; None where that need not be.
+
+    That is where the wire may be any one's that no block decides, or the one that does is no texture.
+    """
+    deciding = _deciding(found, registered)
+    if deciding is None:
+        return None
+    kept = np.ones(len(found.offsets.t), dtype=bool)
+    kept[deciding] = False
+    solution = solve_loads(found.survey, found.solution.theta, registered.camera, _of(found.offsets, kept), iterations)
+    return solution if solution.converged and np.isfinite(solution.covariance).all() else None
+
+
+def _deciding(found: Matched, registered: Registered) -> int | None:
+    """The block without which the depth at mid-span would be much less certain, of those that may be texture."""
+    survey, solution = found.survey, found.solution
+    free = survey.unknowns()
+    known = survey.prior_information() + solution.products[:-1, :-1] / solution.inflation
+    known[CAMERA, CAMERA] += registered.camera.precision
+    covariance = np.zeros((SIZE, SIZE))
+    covariance[np.ix_(free, free)] = solved(known[np.ix_(free, free)], np.eye(len(free)))
+    shapes = load_shapes(np.array([0.5]), LOAD.stop - LOAD.start)[:, 0]
+    depth = np.zeros(SIZE)
+    depth[SAG], depth[LOAD] = 1 + shapes @ solution.theta[LOAD], solution.theta[SAG] * shapes
+    gain, own = _leaving_out(solution, covariance)
+    growth = np.sqrt(1 + (depth @ gain) ** 2 / own / max(float(depth @ covariance @ depth), 1e-18))
+    observed, use = found.observed, found.observed.usable
+    texture = np.maximum(found.offsets.sigma**2 - observed.noise[use] ** 2 - observed.scatter[use] ** 2, 0.0)
+    growth[chance_of(np.sqrt(texture), observed.half_range[use]) < TEXTURE_CHANCE] = 1.0
+    k = int(np.argmax(growth))
+    return k if growth[k] > MAY_DECIDE else None
+
+
+def _of(curve: CurveObservations, kept: NDArray[np.bool_]) -> CurveObservations:
+    """Some of the offsets of a curve."""
+    return replace(
+        curve,
+        t=curve.t[kept],
+        arc=curve.arc[kept],
+        normal=curve.normal[kept],
+        measured=curve.measured[kept],
+        sigma=curve.sigma[kept],
+        texture=None if curve.texture is None else curve.texture[kept],
+    )

@@ -62,6 +62,8 @@ class Matched:
     """Uneven loads that hardly anything speaks for, but that the picture does not exclude either."""
     doubtful_load: bool = False
     """The wire hangs unevenly by its misfit, and no uneven load was found that explains it better."""
+    without_lone: Solution | None = None
+    """Under an uneven load, what is left without a block that may be texture and decides much."""
     crowded: bool = False
     """On a wire, but others run so near it all along that nothing of it can be measured by itself."""
     or_of: str = ""

@@ -12,7 +12,7 @@ import numpy as np
 
 from sagnode.estimate.judge import judge
 from sagnode.estimate.load_kinds import LOAD_U
-from sagnode.estimate.lone import lone_block
+from sagnode.estimate.lone import counts, lone_block
 from sagnode.estimate.matched import Matched, on_curve, tip_of, visible_share
 from sagnode.estimate.register import Registered
 from sagnode.geometry.camera import FloatArray, project
@@ -128,6 +128,11 @@ def propagate(
     # half the second difference over one standard uncertainty of swing to both sides (JCGM 100, 5.1.2, note)
     second = 0.5 * (table[:, -2] + table[:, -1] - 2 * table[:, 0]) ** 2
     other = {} if found.other is None else propagate(site, conductor, found.other)[0]
+    left: dict[str, Estimate] = {}
+    if found.without_lone is not None:
+        left = propagate(site, conductor, replace(found, solution=found.without_lone, other=None, without_lone=None))[0]
+    own = dict(zip(all_values, np.sqrt(linear.sum(axis=0) + second).tolist(), strict=True))
+    alone = counts(left["sag"].u / own["sag"]) if left else 0.0
     loads = found.unexcluded
     loaded = {}
     if loads is not None:
@@ -149,6 +154,9 @@ def propagate(
             parts["survey along the span"] = survey.attachment_u**2
         if stem == "clearance_along":
             parts["ground"] = clearance_place_u(survey.shape(theta), site.ground) ** 2
+        if alone:
+            beyond = left[stem].u ** 2 - sum(parts.values())
+            parts["one block alone"] = alone * ((left[stem].value - value) ** 2 + max(beyond, 0.0))
         if loads is not None:
             # what an uneven load leaves undefined, as a tension, is off by what the even one's sag and swing are
             there = loaded.get(stem, value + (loads.theta - theta) @ g[row])
