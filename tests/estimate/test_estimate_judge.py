@@ -26,6 +26,7 @@ from sagnode.estimate.tell import propagate
 from sagnode.estimate.weigh import solve_loads
 from sagnode.geometry.single_load import single_load_terms
 from sagnode.match.sight import Sighting
+from sagnode.match.standing import spread_by
 from sagnode.measurement import FrameMeasurement
 from sagnode.message import Estimate
 from sagnode.pipeline import load_site
@@ -353,8 +354,28 @@ def test_an_uneven_load_is_told_only_by_more_blocks_than_it_has_unknowns(count: 
 def of_blocks_alone(match: Matched, blocks: NDArray[np.bool_]) -> Matched:
     """As if of all blocks (M,) only these had shown the wire."""
     usable = match.observed.usable
-    solution = replace(match.solution, residual=match.solution.residual[blocks[usable]])
-    return replace(match, observed=replace(match.observed, usable=usable & blocks), solution=solution)
+    kept = blocks[usable]
+    solution = replace(match.solution, residual=match.solution.residual[kept])
+    observed = replace(match.observed, usable=usable & blocks)
+    return replace(match, observed=observed, solution=solution, offsets=match.offsets.some(kept))
+
+
+@pytest.mark.parametrize(("chance", "refused"), [(0.005, False), (0.03, True)])
+def test_an_uneven_load_is_told_only_where_a_third_of_the_span_is_surely_the_wire(chance: float, refused: bool) -> None:
+    site, conductor, match = along_the_line()
+    estimates, _ = propagate(site, conductor, match)
+    # the near part stands out, and the far one by blocks alone, any of which may have looked at texture
+    standing_out = Sighting(20.0, match.track.t < 0.15)
+    observed, far = match.observed, match.observed.t > 0.15
+    noise = np.where(far, 0.05, observed.noise)
+    sigma = np.where(far, np.hypot(noise, spread_by(np.full(len(far), chance), observed.half_range)), observed.sigma)
+    observed = replace(observed, noise=noise, sigma=sigma, scatter=0 * observed.scatter)
+    faint = replace(match, sighting=standing_out, observed=observed, offsets=offsets_of(observed, bent=False))
+    assert judge(site, conductor, faint, estimates)[0] is Validity.GOOD
+    assert visible_share(faint) > 0.8
+    uneven = replace(faint, survey=replace(faint.survey, load_u=LOAD_U))
+    _, reasons = judge(site, conductor, uneven, estimates)
+    assert (Cause.TOO_LITTLE_VISIBLE in [r.cause for r in reasons]) is refused
 
 
 @pytest.mark.parametrize(

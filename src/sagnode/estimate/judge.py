@@ -19,6 +19,7 @@ from sagnode.estimate.matched import (
     load_z,
     shown_share,
     support,
+    surely_visible_share,
     visible_share,
 )
 from sagnode.measurement import FrameMeasurement
@@ -158,6 +159,12 @@ def _not_a_wire(found: Matched) -> list[Reason]:
     needed = UNEVEN_VISIBLE_MIN if found.survey.load_u else VISIBLE_MIN
     if visible < needed:
         text = f"only {100 * visible:.0f} % of the span is visible (needs {100 * needed:g} %)"
+        return [Reason(Cause.TOO_LITTLE_VISIBLE, text), *_ice(found)]
+    if found.survey.load_u and (surely := surely_visible_share(found)) < VISIBLE_MIN:
+        text = (
+            f"only {100 * surely:.0f} % of the span is visible where nothing else could be taken for the wire, and an"
+            f" uneven load can bend to that (needs {100 * VISIBLE_MIN:g} %)"
+        )
         return [Reason(Cause.TOO_LITTLE_VISIBLE, text), *_ice(found)]
     return _hardly_shown(found) if found.survey.load_u or found.other_weight >= 1 else []
 

@@ -10,20 +10,15 @@ without the block, and all of them are weighed again.
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
-from numpy.typing import NDArray
 
 from sagnode.estimate.joint import Solution
-from sagnode.estimate.matched import Matched
-from sagnode.estimate.offsets import CurveObservations
+from sagnode.estimate.matched import Matched, texture_chance
 from sagnode.estimate.register import Registered
 from sagnode.estimate.steps import solved
 from sagnode.estimate.weigh import solve_loads
 from sagnode.geometry.camera import FloatArray
 from sagnode.geometry.conductor import load_shapes
-from sagnode.match.standing import chance_of
 from sagnode.survey import CAMERA, LOAD, SAG, SIZE
 
 ALONE = (1.5, 2.0)
@@ -78,7 +73,7 @@ def without_lone(found: Matched, registered: Registered, iterations: int) -> Sol
         return None
     kept = np.ones(len(found.offsets.t), dtype=bool)
     kept[deciding] = False
-    solution = solve_loads(found.survey, found.solution.theta, registered.camera, _of(found.offsets, kept), iterations)
+    solution = solve_loads(found.survey, found.solution.theta, registered.camera, found.offsets.some(kept), iterations)
     return solution if solution.converged and np.isfinite(solution.covariance).all() else None
 
 
@@ -95,21 +90,6 @@ def _deciding(found: Matched, registered: Registered) -> int | None:
     depth[SAG], depth[LOAD] = 1 + shapes @ solution.theta[LOAD], solution.theta[SAG] * shapes
     gain, own = _leaving_out(solution, covariance)
     growth = np.sqrt(1 + (depth @ gain) ** 2 / own / max(float(depth @ covariance @ depth), 1e-18))
-    observed, use = found.observed, found.observed.usable
-    texture = np.maximum(found.offsets.sigma**2 - observed.noise[use] ** 2 - observed.scatter[use] ** 2, 0.0)
-    growth[chance_of(np.sqrt(texture), observed.half_range[use]) < TEXTURE_CHANCE] = 1.0
+    growth[texture_chance(found) < TEXTURE_CHANCE] = 1.0
     k = int(np.argmax(growth))
     return k if growth[k] > MAY_DECIDE else None
-
-
-def _of(curve: CurveObservations, kept: NDArray[np.bool_]) -> CurveObservations:
-    """Some of the offsets of a curve."""
-    return replace(
-        curve,
-        t=curve.t[kept],
-        arc=curve.arc[kept],
-        normal=curve.normal[kept],
-        measured=curve.measured[kept],
-        sigma=curve.sigma[kept],
-        texture=None if curve.texture is None else curve.texture[kept],
-    )

@@ -15,6 +15,7 @@ from sagnode.estimate.unexcluded import Loads
 from sagnode.geometry.camera import FloatArray
 from sagnode.match.refine import Observed
 from sagnode.match.sight import Sighting, sight
+from sagnode.match.standing import chance_of
 from sagnode.match.templates import View
 from sagnode.match.track import Track
 from sagnode.survey import ATTACHMENTS, LOAD, SAG, SWING, Survey
@@ -31,6 +32,8 @@ SUPPORT_MIN = 0.30
 """Least share of the curve in view that must stand out; a window does so by chance once in twenty."""
 MEASURED_PX = 0.8
 """A block that is surer than this, and lies nearer to the curve, shows the wire there."""
+SURELY = 0.01
+"""Chance that a block looked at texture below which it surely shows the wire, where a curve may bend to anything."""
 NOT_LOOKED_AT = Sighting(0.0, np.zeros(0, dtype=bool))
 
 
@@ -124,6 +127,18 @@ def visible_share(matched: Matched) -> float:
     return _share(matched.track, matched.sighting.seen | _measured_at(matched))
 
 
+def surely_visible_share(matched: Matched) -> float:
+    """The same without blocks that may have been measured on texture, which a curve under an uneven load bends to."""
+    return _share(matched.track, matched.sighting.seen | _measured_at(matched, texture_chance(matched) < SURELY))
+
+
+def texture_chance(matched: Matched) -> FloatArray:
+    """Chance (M,) that a usable block looked at texture, by how much more uncertain that makes it than noise does."""
+    observed, use = matched.observed, matched.observed.usable
+    own = observed.noise[use] ** 2 + observed.scatter[use] ** 2
+    return chance_of(np.sqrt(np.maximum(matched.offsets.sigma**2 - own, 0.0)), observed.half_range[use])
+
+
 def measured_share(matched: Matched) -> float:
     """Share of the span's horizontal length over which blocks show the wire on the curve."""
     return _share(matched.track, _measured_at(matched))
@@ -135,11 +150,12 @@ def shown_share(matched: Matched) -> float:
     return float(matched.observed.usable[clear].mean()) if clear.any() else 0.0
 
 
-def _measured_at(matched: Matched) -> NDArray[np.bool_]:
-    """At which samples (N,) of the track a block shows the wire on the curve."""
+def _measured_at(matched: Matched, some: NDArray[np.bool_] | bool = True) -> NDArray[np.bool_]:
+    """At which samples (N,) of the track one of ``some`` usable blocks (M,) shows the wire on the curve."""
     use = matched.observed.usable
     shown = np.zeros(len(use), dtype=bool)
-    shown[use] = np.maximum(np.abs(matched.solution.residual), matched.observed.sigma[use]) < MEASURED_PX
+    off = np.maximum(np.abs(matched.solution.residual), matched.observed.sigma[use])
+    shown[use] = (off < MEASURED_PX) & some
     return of_blocks(matched.observed, shown, matched.track.t)
 
 

@@ -10,6 +10,7 @@ from functools import cache, cached_property
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sagnode.geometry.camera import FloatArray, place_derivatives, project, projection_derivatives
 from sagnode.geometry.conductor import conductor_derivatives, finer_load_shapes, gravity_direction, load_shapes
@@ -59,6 +60,14 @@ class CurveObservations:
     texture: FloatArray | None = None
     shared_px: float = CORRELATED_PX
     shared_share: float = CORRELATED_SHARE
+
+    def some(self, kept: NDArray[np.bool_]) -> CurveObservations:
+        """Those of the offsets (M,) that are kept."""
+        texture = None if self.texture is None else self.texture[kept]
+        t, arc, normal, measured, sigma = (
+            part[kept] for part in (self.t, self.arc, self.normal, self.measured, self.sigma)
+        )
+        return CurveObservations(t, arc, normal, measured, sigma, texture, self.shared_px, self.shared_share)
 
     @cached_property
     def load_shapes(self) -> FloatArray:
