@@ -378,6 +378,18 @@ def test_an_uneven_load_is_told_only_where_a_third_of_the_span_is_surely_the_wir
     assert (Cause.TOO_LITTLE_VISIBLE in [r.cause for r in reasons]) is refused
 
 
+@pytest.mark.parametrize(("share", "inflation", "refused"), [(0.4, 1.0, False), (1.0, 2.0, False), (0.4, 2.0, True)])
+def test_a_few_places_that_contradict_each_other_are_no_wire(share: float, inflation: float, refused: bool) -> None:
+    site, conductor, match = along_the_line()
+    estimates, _ = propagate(site, conductor, match)
+    blocks = np.arange(len(match.observed.t)) % 10 < 10 * share
+    some = of_blocks_alone(match, blocks)
+    some = replace(some, solution=replace(some.solution, inflation=inflation))
+    validity, reasons = judge(site, conductor, some, estimates)
+    assert [r.cause for r in reasons] == ([Cause.NO_CONDUCTOR] if refused else [])
+    assert (validity is Validity.INVALID) is refused
+
+
 @pytest.mark.parametrize(
     ("terms", "refused"),
     [

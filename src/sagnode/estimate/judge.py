@@ -37,6 +37,9 @@ FLAT_DEVIATION = 2.5
 VISIBLE_MIN = 0.33
 """Share of the span that must be seen: with less, a weight or ice on the rest goes unnoticed, and few wires of which
 half could be seen are lost by that."""
+SHOWN_MIN, SCATTER_MAX = 0.5, 1.2
+"""Share of the blocks that must show a wire where they scatter by more than so many times what they say: wires do the
+one where much is in their way, or the other where they are very sharp; bars of towers that a curve meets do both."""
 UNEVEN_VISIBLE_MIN = 0.42
 """The same under an uneven load: nobody knows how a wire goes on where it is not seen. With less, errors were twice as
 large as stated; from here on as stated."""
@@ -166,7 +169,21 @@ def _not_a_wire(found: Matched) -> list[Reason]:
             f" uneven load can bend to that (needs {100 * VISIBLE_MIN:g} %)"
         )
         return [Reason(Cause.TOO_LITTLE_VISIBLE, text), *_ice(found)]
-    return _hardly_shown(found) if found.survey.load_u or found.other_weight >= 1 else []
+    if found.survey.load_u or found.other_weight >= 1:
+        return _hardly_shown(found)
+    return _contradicted(found)
+
+
+def _contradicted(found: Matched) -> list[Reason]:
+    """A few stretches of something that an even curve meets, as bars of towers: no wire runs through them all."""
+    shown, scatter = shown_share(found), math.sqrt(found.solution.inflation)
+    if shown >= SHOWN_MIN or scatter <= SCATTER_MAX:
+        return []
+    text = (
+        f"the curve shows something like a wire in {100 * shown:.0f} % of it (needs {100 * SHOWN_MIN:g} %), and that"
+        f" lies {scatter:.1f} times as far from one curve as it could (at most {SCATTER_MAX:g})"
+    )
+    return [Reason(Cause.NO_CONDUCTOR, text)]
 
 
 def _hardly_shown(found: Matched) -> list[Reason]:
