@@ -239,6 +239,33 @@ def test_under_an_uneven_load_the_interval_holds_what_is_left_without_a_block_th
     assert after.u == pytest.approx(np.hypot(alone.u, alone.value - before.value), rel=1e-6)
 
 
+def test_a_quantity_under_an_uneven_load_is_its_mean_over_all_loads_and_varies_within_and_between_them() -> None:
+    (site, conductor, match), _, _ = with_one_far_block(0.0, texture=True)
+    told, budget = propagate(site, conductor, match)
+    weight = np.array([share for share, _, _ in match.solution.loads])
+    assert len(weight) > 3
+    assert weight.sum() == pytest.approx(1.0, abs=0.02)
+    weight /= weight.sum()
+    each = [
+        propagate(site, conductor, replace(match, survey=survey, solution=solution))[0]
+        for _, survey, solution in match.solution.loads
+    ]
+    for stem in ("sag", "clearance", "lowest_height", "drop"):
+        value, u = (np.array([one[stem][k] for one in each]) for k in (0, 1))
+        mean = weight @ value
+        assert told[stem].value == pytest.approx(mean)
+        assert told[stem].u ** 2 == pytest.approx(weight @ (u**2 + (value - mean) ** 2))
+        assert np.sqrt(np.sum(np.square(list(budget[stem].values())))) == pytest.approx(told[stem].u)
+
+
+def test_what_is_seen_of_an_uneven_load_at_once_is_weighed_by_all_loads_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    (_, conductor, match), registered, _ = with_one_far_block(0.0, texture=False)
+    everything = replace(along_the_line().match, survey=match.survey)
+    assert not everything.solution.loads
+    monkeypatch.setattr(refinement, "FORETOLD_ENOUGH", 0.0)
+    assert completed(demo_picture(), conductor, registered, everything, []).solution.loads
+
+
 def test_under_an_uneven_load_a_block_that_is_surely_the_wire_may_decide() -> None:
     (_, _, match), registered, _ = with_one_far_block(0.0, texture=False)
     assert without_lone(match, registered, 24) is None

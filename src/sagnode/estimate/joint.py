@@ -92,8 +92,8 @@ class Solution:
     """Covariance (M, M) of what the offsets share, px², where an uneven load adds to what neighbours do."""
     log_evidence: float | None = None
     """Of the offsets for all loads together that this is the mean of; None for a single solution."""
-    likeliest: tuple[Survey, Solution] | None = None
-    """The likeliest of those loads, and the solution under it."""
+    loads: tuple[tuple[float, Survey, Solution], ...] = ()
+    """Those loads, the likeliest first: the weight of each, which add up to 1, and the solution under it."""
 
     @cached_property
     def noise(self) -> tuple[FloatArray, FloatArray]:
@@ -138,8 +138,8 @@ class Solution:
         What offsets that are no wire's may do to the estimate comes on top of the covariance. ``of``: of these unknowns
         alone, where no others are asked for.
         """
-        if self.likeliest is not None:
-            own, one = self.likeliest
+        if self.loads:
+            _, own, one = self.loads[0]
             return {**one.information(own, of), "which load": (self.covariance - one.covariance)[of, of]}
         posterior, known = self.covariance[of], survey.prior_information()
         pieces: dict[str, FloatArray] = {}

@@ -154,7 +154,9 @@ def completed(
         # an uneven load may bend away from the wire to please what is no wire's; an even one cannot
         if not found.survey.load_u or again.response > STILL_SHOWN * found.response:
             found = again
-    return found
+    # what was seen at once is weighed by no round
+    unweighed = found.survey.load_u > 0 and not found.solution.loads
+    return weighed(image, conductor, registered, found) if unweighed else found
 
 
 def _agree(before: Solution, after: Solution) -> bool:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -114,6 +115,62 @@ def propagate(
     site: Site, conductor: SiteConductor, found: Matched
 ) -> tuple[dict[str, Estimate], dict[str, dict[str, float]]]:
     """Estimates by quantity stem, and the standard uncertainty of each by source."""
+    told = _over_loads(site, conductor, found) if found.solution.loads else _of_one(site, conductor, found)
+    other = {} if found.other is None else propagate(site, conductor, found.other)[0]
+    left: dict[str, Estimate] = {}
+    alone = 0.0
+    if found.without_lone is not None:
+        left = propagate(site, conductor, replace(found, solution=found.without_lone, other=None, without_lone=None))[0]
+        alone = counts(left["sag"].u / math.sqrt(sum(told["sag"].parts.values())))
+    estimates, budget = {}, {}
+    for stem, (value, parts) in told.items():
+        if alone:
+            beyond = left[stem].u ** 2 - sum(parts.values())
+            parts["one block alone"] = alone * ((left[stem].value - value) ** 2 + max(beyond, 0.0))
+        if stem in other:
+            # the 95 % interval reaches as far as the value under the other load, and is no narrower than that one's
+            beyond = other[stem].u ** 2 - sum(parts.values())
+            reach = ((other[stem].value - value) / K95) ** 2 + max(beyond, 0.0)
+            parts["even or uneven load"] = found.other_weight * reach
+        u = float(np.sqrt(sum(parts.values())))
+        estimates[stem] = Estimate(value, u, value - K95 * u, value + K95 * u)
+        budget[stem] = {name: math.sqrt(max(part, 0.0)) for name, part in parts.items()}
+    return estimates, budget
+
+
+class _Told(NamedTuple):
+    """A quantity and its variance by source."""
+
+    value: float
+    parts: dict[str, float]
+
+
+def _over_loads(site: Site, conductor: SiteConductor, found: Matched) -> dict[str, _Told]:
+    """Every quantity over all kinds of load by their weights: the mean, and the variance within and between them.
+
+    A quantity of the mean shape is none of the mean: where the clearance is least hangs on where the ice is.
+    """
+    weight = np.array([share for share, _, _ in found.solution.loads])
+    weight /= weight.sum()
+    each = [
+        _of_one(site, conductor, replace(found, survey=survey, solution=solution))
+        for _, survey, solution in found.solution.loads
+    ]
+    told = {}
+    for stem, likeliest in each[0].items():
+        values = np.array([one[stem].value for one in each])
+        variances = np.array([sum(one[stem].parts.values()) for one in each])
+        mean = float(weight @ values)
+        whole, own = float(weight @ (variances + (values - mean) ** 2)), sum(likeliest.parts.values())
+        # all loads together may leave a quantity surer than the likeliest alone
+        shrunk = min(whole / own, 1.0) if own > 0 else 1.0
+        parts = {name: part * shrunk for name, part in likeliest.parts.items()}
+        told[stem] = _Told(mean, {**parts, "which load": max(whole - own, 0.0)})
+    return told
+
+
+def _of_one(site: Site, conductor: SiteConductor, found: Matched) -> dict[str, _Told]:
+    """Every quantity of one shape, with what is uncertain about that."""
     theta, survey = found.solution.theta, found.survey
     calm = abs(float(theta[SWING])) < TEMPERATURE_SWING and not survey.load_u and found.other is None
     around, steps = _around(found)
@@ -127,25 +184,14 @@ def propagate(
     linear = np.sum((g @ np.stack(list(pieces.values()))) * g, axis=-1)
     # half the second difference over one standard uncertainty of swing to both sides (JCGM 100, 5.1.2, note)
     second = 0.5 * (table[:, -2] + table[:, -1] - 2 * table[:, 0]) ** 2
-    other = {} if found.other is None else propagate(site, conductor, found.other)[0]
-    left: dict[str, Estimate] = {}
-    if found.without_lone is not None:
-        left = propagate(site, conductor, replace(found, solution=found.without_lone, other=None, without_lone=None))[0]
-    own = dict(zip(all_values, np.sqrt(linear.sum(axis=0) + second).tolist(), strict=True))
-    alone = counts(left["sag"].u / own["sag"]) if left else 0.0
     loads = found.unexcluded
     loaded = {}
     if loads is not None:
         loaded = _values(site, conductor, replace(survey, load_u=LOAD_U), loads.theta, calm=False)
-    estimates, budget = {}, {}
+    told = {}
     for row, stem in enumerate(all_values):
         value = float(table[row, 0])
         parts = dict(zip(pieces, linear[:, row].tolist(), strict=True))
-        if parts.get("which load", 0.0) < 0:
-            # all loads together may leave a quantity surer than the likeliest alone
-            less = parts.pop("which load")
-            own = sum(parts.values())
-            parts = {name: part * max(own + less, 0.0) / own for name, part in parts.items()}
         parts["swing, second order"] = float(second[row])
         if stem in _GROUND_STEMS:
             parts["ground"] = site.ground.height_u**2
@@ -154,23 +200,13 @@ def propagate(
             parts["survey along the span"] = survey.attachment_u**2
         if stem == "clearance_along":
             parts["ground"] = clearance_place_u(survey.shape(theta), site.ground) ** 2
-        if alone:
-            beyond = left[stem].u ** 2 - sum(parts.values())
-            parts["one block alone"] = alone * ((left[stem].value - value) ** 2 + max(beyond, 0.0))
         if loads is not None:
             # what an uneven load leaves undefined, as a tension, is off by what the even one's sag and swing are
             there = loaded.get(stem, value + (loads.theta - theta) @ g[row])
             # as far as the interval does not reach to the other load anyway
             parts["load not excluded"] = (1 - found.other_weight) * loads.variance(value, there)
-        if stem in other:
-            # the 95 % interval reaches as far as the value under the other load, and is no narrower than that one's
-            beyond = other[stem].u ** 2 - sum(parts.values())
-            reach = ((other[stem].value - value) / K95) ** 2 + max(beyond, 0.0)
-            parts["even or uneven load"] = found.other_weight * reach
-        u = float(np.sqrt(sum(parts.values())))
-        estimates[stem] = Estimate(value, u, value - K95 * u, value + K95 * u)
-        budget[stem] = {name: math.sqrt(max(part, 0.0)) for name, part in parts.items()}
-    return estimates, budget
+        told[stem] = _Told(value, parts)
+    return told
 
 
 def _around(found: Matched) -> tuple[FloatArray, dict[int, float]]:

@@ -31,6 +31,8 @@ LIKELY, MOST = 12.0, 16
 most."""
 BELIEVED = 0.4
 """Share of what the offsets say for one kind of load over another that is believed."""
+NEGLIGIBLE = 1e-3
+"""Weight up to which a kind of load need not be told."""
 ROUNDS = 3
 """Solutions of one kind, each with the blocks at their places on the curve before."""
 REST = slice(0, LOAD.start)
@@ -67,15 +69,15 @@ def solve_loads(
     apart = thetas - theta
     covariance = np.einsum("h,hij->ij", weight, np.array([one.covariance for _, _, one in found]))
     covariance += (weight * apart.T) @ apart
-    _, best_survey, best = found[int(np.argmax(log))]
+    order = np.argsort(-log, kind="stable")
+    best = found[order[0]][2]
+    loads = tuple((float(weight[k]), found[k][1], found[k][2]) for k in order if weight[k] > NEGLIGIBLE)
     # the mean over swings that are far apart need not lie on the wire; what is likeliest under all those loads does
     parts = [(float(w), kind.prior) for w, (kind, _, _) in zip(weight, found, strict=True)]
     middle = replace(survey, load_prior=mixed(parts))
     on_wire = settled(middle, theta, camera, curve, iterations) or best
     covariance += np.outer(on_wire.theta - theta, on_wire.theta - theta)
-    return replace(
-        on_wire, covariance=covariance, inflation=inflation, log_evidence=together, likeliest=(best_survey, best)
-    )
+    return replace(on_wire, covariance=covariance, inflation=inflation, log_evidence=together, loads=loads)
 
 
 def settled(
