@@ -93,7 +93,7 @@ class Solution:
     log_evidence: float | None = None
     """Of the offsets for all loads together that this is the mean of; None for a single solution."""
     loads: tuple[tuple[float, Survey, Solution], ...] = ()
-    """Those loads, the likeliest first: the weight of each, which add up to 1, and the solution under it."""
+    """Those of the loads that matter, the likeliest first: the weight of each, what it expects, and the solution."""
 
     @cached_property
     def noise(self) -> tuple[FloatArray, FloatArray]:

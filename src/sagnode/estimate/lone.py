@@ -64,9 +64,9 @@ def counts(growth: float) -> float:
 
 
 def without_lone(found: Matched, registered: Registered, iterations: int) -> Solution | None:
-    """A conductor under an uneven load solved for without the block that decides most; None where that need not be.
+    """A conductor under an uneven load solved for without the block that decides most.
 
-    That is where the wire may be any one's that no block decides, or the one that does is no texture.
+    None where no block decides much, or the one that does is surely the wire.
     """
     deciding = _deciding(found, registered)
     if deciding is None:

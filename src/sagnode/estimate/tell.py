@@ -121,7 +121,7 @@ def propagate(
     alone = 0.0
     if found.without_lone is not None:
         left = propagate(site, conductor, replace(found, solution=found.without_lone, other=None, without_lone=None))[0]
-        alone = counts(left["sag"].u / math.sqrt(sum(told["sag"].parts.values())))
+        alone = counts(left["sag"].u / max(math.sqrt(sum(told["sag"].parts.values())), 1e-9))
     estimates, budget = {}, {}
     for stem, (value, parts) in told.items():
         if alone:
