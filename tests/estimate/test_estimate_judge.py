@@ -1,181 +1,26 @@
-"""What is followed of a wire seen along the line, what counts as seen of it, and what may be told."""
+"""What may be told of a wire seen along the line."""
 
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import cache
-from typing import NamedTuple
 
 import numpy as np
 import pytest
+from demo_wire import along_the_line, of_blocks_alone
 from numpy.typing import NDArray
 
-from sagnode.config.load import load_span
-from sagnode.estimate import refinement
-from sagnode.estimate.even import find_even
-from sagnode.estimate.joint import solve
 from sagnode.estimate.judge import borne_out, judge
-from sagnode.estimate.load import Doubt
-from sagnode.estimate.load_kinds import LOAD_U, any_single
-from sagnode.estimate.lone import without_lone
-from sagnode.estimate.matched import Matched, is_wire, looked_at, share_standing_out, visible_share
-from sagnode.estimate.refinement import completed, offsets_of, survey_of
-from sagnode.estimate.register import Registered, register
-from sagnode.estimate.swings import explanation
+from sagnode.estimate.load_kinds import LOAD_U
+from sagnode.estimate.matched import visible_share
+from sagnode.estimate.refinement import offsets_of
 from sagnode.estimate.tell import propagate
-from sagnode.estimate.weigh import solve_loads
 from sagnode.geometry.single_load import single_load_terms
 from sagnode.match.sight import Sighting
 from sagnode.match.standing import spread_by
 from sagnode.measurement import FrameMeasurement
 from sagnode.message import Estimate
-from sagnode.pipeline import load_site
 from sagnode.quality import Cause, Reason, Validity
-from sagnode.scene.catenary import WireState
-from sagnode.scene.render import render
-from sagnode.scene.site import demo_site, site_directory
-from sagnode.scene.spec import Moment
-from sagnode.site import Site, SiteConductor
-from sagnode.survey import LOAD, SAG
-
-HIDDEN_FROM = 0.2
-"""Share of the span beyond which the wire is painted over."""
-SAG_M = 8.0
-
-
-class Found(NamedTuple):
-    site: Site
-    conductor: SiteConductor
-    match: Matched
-
-
-@cache
-def demo_picture() -> NDArray[np.uint8]:
-    """The demonstration's span."""
-    scene = demo_site().scene
-    wires = {c.id: WireState(SAG_M, 0.0) for c in scene.surveyed.conductors}
-    return render(scene, Moment(wires, seed=8)).image
-
-
-@cache
-def along_the_line(*, hidden: bool = False) -> Found:
-    """The demonstration's conductor L2 as it is found, the far part of it painted over with what is behind it."""
-    scene = demo_site().scene
-    wires = {c.id: WireState(SAG_M, 0.0) for c in scene.surveyed.conductors}
-    site = load_site(load_span(site_directory() / "span.toml").span)
-    conductor = next(c for c in site.conductors if c.id == "L2")
-    image = demo_picture()
-    if hidden:
-        without = render(scene, Moment({n: w for n, w in wires.items() if n != conductor.id}, seed=8)).image
-        match = along_the_line().match
-        far = match.track.pixels[match.track.t > HIDDEN_FROM]
-        image = painted(image, without, far)
-    registered, reasons = register(site, image)
-    assert not reasons, reasons
-    before = find_even(image, conductor, survey_of(conductor, registered), registered)
-    assert before is not None
-    match = replace(completed(image, conductor, registered, before, []), unaided=before)
-    return Found(site, conductor, looked_at(image, match))
-
-
-def painted(image: NDArray[np.uint8], other: NDArray[np.uint8], places: NDArray[np.float64]) -> NDArray[np.uint8]:
-    result = image.copy()
-    for u, v in places.astype(int):
-        result[max(v - 8, 0) : v + 9, max(u - 8, 0) : u + 9] = other[max(v - 8, 0) : v + 9, max(u - 8, 0) : u + 9]
-    return result
-
-
-def test_a_wire_is_followed_where_the_rest_of_it_foretells_it() -> None:
-    match = along_the_line().match
-    before = match.unaided
-    assert before is not None
-    assert np.ptp(match.offsets.t) > np.ptp(before.offsets.t) + 0.1
-    assert match.sag[1] < before.sag[1]
-    for solution in (before.solution, match.solution):
-        assert abs(solution.theta[SAG] - SAG_M) < 3 * np.sqrt(solution.covariance[SAG, SAG])
-
-
-def test_a_place_that_may_be_texture_widens_the_numbers_by_what_it_would_move_them() -> None:
-    site, conductor, match = along_the_line()
-    solution, curve = match.solution, match.solution.curve
-    far = int(np.argmax(curve.t))
-    texture = np.where(np.arange(len(curve.t)) == far, 0.5, 0.0)
-
-    def sag_u(texture: NDArray[np.float64]) -> float:
-        told = replace(match, solution=replace(solution, curve=replace(curve, texture=texture)))
-        return propagate(site, conductor, told)[0]["inplane_sag"].u
-
-    by_texture = np.sqrt(sag_u(texture) ** 2 - sag_u(0.0 * texture) ** 2)
-    # what the sag does when that place is measured elsewhere, for a little that robust weights take no notice of
-    little = 0.01
-    measured = curve.measured.copy()
-    measured[far] += little * curve.normal[far]
-    moved, still = (
-        solve(match.survey, solution.theta, solution.camera, each, 20).theta[SAG]
-        for each in (replace(curve, measured=measured), curve)
-    )
-    assert by_texture == pytest.approx(0.5 * abs(moved - still) / little, rel=0.2)
-    assert by_texture > 0.001
-
-
-def test_what_is_not_there_is_not_followed() -> None:
-    match = along_the_line(hidden=True).match
-    beyond = (match.observed.t > HIDDEN_FROM + 0.03) & match.observed.usable
-    assert beyond.mean() < 0.1, "texture is no wire, though a place is foretold"
-    assert abs(match.solution.theta[SAG] - SAG_M) < 3 * np.sqrt(match.solution.covariance[SAG, SAG])
-
-
-@pytest.mark.parametrize(("moved", "taken"), [(1.0, True), (4.0, False)])
-def test_what_moves_a_wire_from_where_it_was_foretold_is_something_else(
-    monkeypatch: pytest.MonkeyPatch, moved: float, taken: bool
-) -> None:
-    site, conductor, match = along_the_line()
-    before = match.unaided
-    assert before is not None
-    theta = before.solution.theta.copy()
-    theta[SAG] += moved * before.sag[1]
-    more = replace(match, solution=replace(match.solution, theta=theta))
-    monkeypatch.setattr(refinement, "_foretold", lambda *_, **__: more)
-    registered, _ = register(site, np.zeros((8, 8), dtype=np.uint8))
-    after = completed(np.zeros((8, 8), dtype=np.uint8), conductor, registered, before, [])
-    assert (after is more) is taken
-
-
-def test_a_wire_is_proven_by_its_mean_or_by_the_odds() -> None:
-    match = along_the_line().match
-    most = np.ones(len(match.track.t), dtype=bool)
-    few = np.arange(len(most)) < 0.2 * len(most)
-    for score, chance, seen, proven in (
-        (20.0, 1.0, most, True),
-        (2.0, 1e-9, most, True),
-        (2.0, 1e-3, most, False),
-        (20.0, 1e-9, few, False),
-    ):
-        assert is_wire(replace(match, sighting=Sighting(score, seen, chance))) is proven
-
-
-def test_seen_is_what_stands_out_or_was_measured() -> None:
-    match = along_the_line().match
-    nothing = replace(match, sighting=Sighting(0.0, np.zeros(len(match.track.t), dtype=bool)))
-    assert share_standing_out(nothing) == 0
-    measured = visible_share(nothing)
-    assert 0.25 < measured <= visible_share(match) <= 1
-    unsure = replace(nothing, observed=replace(match.observed, sigma=np.full(len(match.observed.t), 2.0)))
-    assert visible_share(unsure) == 0
-
-
-@pytest.mark.parametrize(("hidden", "followed"), [(False, True), (True, False)])
-def test_a_loaded_wire_tells_its_swing_by_what_was_seen_following_it_or_by_the_heaviest_load(
-    hidden: bool, followed: bool
-) -> None:
-    _, conductor, match = along_the_line(hidden=hidden)
-    own = Doubt(conductor, match.survey, match, [], [])
-    by_step = [explanation(0.0, swing, 0.02, own.swing_u) for swing in (0.1, 0.9)]
-    expected = [explanation(0.0, *match.swing, own.swing_u)] if followed else by_step[-1:]
-    assert own.swing_loaded(match, by_step) == expected
-    assert own.swing_loaded(None, by_step) == by_step[-1:]
-    unsettled = replace(match, solution=replace(match.solution, converged=False))
-    assert own.swing_loaded(unsettled, by_step) == by_step[-1:]
+from sagnode.survey import LOAD
 
 
 @pytest.mark.parametrize(("span_share", "told"), [(0.0014, True), (0.0016, False)])
@@ -193,82 +38,6 @@ def test_the_sag_of_a_flat_wire_may_be_as_uncertain_as_that_of_one_that_hangs_lo
     validity, reasons = judge(site, conductor, match, estimates)
     assert (validity is not Validity.INVALID) is told, reasons
     assert told or [r.cause for r in reasons] == [Cause.UNCERTAIN]
-
-
-def with_one_far_block(aside_px: float, *, texture: bool) -> tuple[Found, Registered, Matched]:
-    """A wire under an uneven load of which the near part is seen and one block at mid-span; and what is seen near."""
-    found = along_the_line()
-    registered, _ = register(found.site, demo_picture())
-    survey = replace(found.match.survey, load_u=LOAD_U, load_prior=any_single())
-    observed = found.match.observed
-    near = observed.usable & (observed.t < 0.12)
-    far = int(np.argmin(np.abs(observed.t - 0.5)))
-    assert observed.usable[far]
-    offset, sigma, noise = observed.offset.copy(), observed.sigma.copy(), observed.noise.copy()
-    offset[far] += aside_px
-    sigma[far] = 0.2
-    noise[far] = 0.05 if texture else 0.2
-    both = near.copy()
-    both[far] = True
-    several = replace(observed, offset=offset, sigma=sigma, noise=noise, texture=0 * observed.texture)
-
-    def solved_with(usable: NDArray[np.bool_]) -> Matched:
-        seen = replace(several, usable=usable)
-        offsets = offsets_of(seen, bent=True)
-        solution = solve_loads(survey, found.match.solution.theta, registered.camera, offsets, 24)
-        return replace(found.match, survey=survey, observed=seen, offsets=offsets, solution=solution)
-
-    return Found(found.site, found.conductor, solved_with(both)), registered, solved_with(near)
-
-
-@pytest.mark.parametrize("aside_px", [0.0, -3.0])
-def test_under_an_uneven_load_the_interval_holds_what_is_left_without_a_block_that_may_be_texture(
-    aside_px: float,
-) -> None:
-    (site, conductor, match), registered, near = with_one_far_block(aside_px, texture=True)
-    left = without_lone(match, registered, 24)
-    assert left is not None
-    assert len(left.residual) == len(near.solution.residual)
-    assert left.theta[SAG] == pytest.approx(near.solution.theta[SAG], abs=near.sag[1])
-    told = replace(match, without_lone=left)
-    before, after, alone = (
-        propagate(site, conductor, m)[0]["sag"] for m in (match, told, replace(match, solution=left))
-    )
-    assert alone.u > 2 * before.u, "the far block decides"
-    assert after.value == before.value
-    assert after.u == pytest.approx(np.hypot(alone.u, alone.value - before.value), rel=1e-6)
-
-
-def test_a_quantity_under_an_uneven_load_is_its_mean_over_all_loads_and_varies_within_and_between_them() -> None:
-    (site, conductor, match), _, _ = with_one_far_block(0.0, texture=True)
-    told, budget = propagate(site, conductor, match)
-    weight = np.array([share for share, _, _ in match.solution.loads])
-    assert len(weight) > 3
-    assert weight.sum() == pytest.approx(1.0, abs=0.02)
-    weight /= weight.sum()
-    each = [
-        propagate(site, conductor, replace(match, survey=survey, solution=solution))[0]
-        for _, survey, solution in match.solution.loads
-    ]
-    for stem in ("sag", "clearance", "lowest_height", "drop"):
-        value, u = (np.array([one[stem][k] for one in each]) for k in (0, 1))
-        mean = weight @ value
-        assert told[stem].value == pytest.approx(mean)
-        assert told[stem].u ** 2 == pytest.approx(weight @ (u**2 + (value - mean) ** 2))
-        assert np.sqrt(np.sum(np.square(list(budget[stem].values())))) == pytest.approx(told[stem].u)
-
-
-def test_what_is_seen_of_an_uneven_load_at_once_is_weighed_by_all_loads_too(monkeypatch: pytest.MonkeyPatch) -> None:
-    (_, conductor, match), registered, _ = with_one_far_block(0.0, texture=False)
-    everything = replace(along_the_line().match, survey=match.survey)
-    assert not everything.solution.loads
-    monkeypatch.setattr(refinement, "FORETOLD_ENOUGH", 0.0)
-    assert completed(demo_picture(), conductor, registered, everything, []).solution.loads
-
-
-def test_under_an_uneven_load_a_block_that_is_surely_the_wire_may_decide() -> None:
-    (_, _, match), registered, _ = with_one_far_block(0.0, texture=False)
-    assert without_lone(match, registered, 24) is None
 
 
 def test_a_clear_wire_is_good() -> None:
@@ -376,15 +145,6 @@ def test_an_uneven_load_is_told_only_by_more_blocks_than_it_has_unknowns(count: 
     assert judge(site, conductor, of_blocks_alone(match, few), estimates)[0] is Validity.GOOD
     _, reasons = judge(site, conductor, of_blocks_alone(uneven, few), estimates)
     assert (Cause.TOO_LITTLE_VISIBLE in [r.cause for r in reasons]) is refused
-
-
-def of_blocks_alone(match: Matched, blocks: NDArray[np.bool_]) -> Matched:
-    """As if of all blocks (M,) only these had shown the wire."""
-    usable = match.observed.usable
-    kept = blocks[usable]
-    solution = replace(match.solution, residual=match.solution.residual[kept])
-    observed = replace(match.observed, usable=usable & blocks)
-    return replace(match, observed=observed, solution=solution, offsets=match.offsets.some(kept))
 
 
 @pytest.mark.parametrize(("chance", "refused"), [(0.005, False), (0.03, True)])
