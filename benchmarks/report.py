@@ -46,7 +46,9 @@ catenaries, pieces of catenaries where the load is uneven, and projection throug
 - **n**: readings with a number, good and questionable. **RMSE**, **bias**: of estimate minus truth.
 - **limit**: the smallest standard uncertainty that a reader of that very frame can have: survey and clicks as they are,
   the whole visible wire at its true place, white pixel noise and nothing else (`benchmarks/limit.py`). **RMSE / limit**
-  is the root mean square of each error over the limit of its own frame.
+  is the root mean square of each error over the limit of its own frame. Among the targets it stands in brackets: what a
+  reader without any error of its own would reach there, whatever the target says; with a ratio above 1.5 stands what
+  the readings themselves state over the limit.
 - **95 % holds**: how often the stated interval holds the truth; ± is what chance moves a true 95 %, one draw a world,
   since the conductors of one world share its camera.
 - **due**: half of the span in the picture, hidden by nothing, with a contrast of three times the noise of a pixel, by

@@ -133,6 +133,12 @@ class Row:
     """Root mean square of the errors over the limit of their own scene; NaN where there is none."""
     width_to_limit: float
     """Mean of half-widths over twice the limit of their own scene."""
+    limit: float
+    """Root mean square of the limits: the RMSE of a reader that is as good as can be; NaN where there is none."""
+    limit_rel: float
+    """The same, each over the true value."""
+    stated_to_limit: float
+    """Root mean square of the stated standard uncertainties over the limit of their own scene."""
 
 
 def statistics(outcomes: Sequence[Outcome], stem: str) -> Row | None:
@@ -143,11 +149,13 @@ def statistics(outcomes: Sequence[Outcome], stem: str) -> Row | None:
     error = np.array([o.error(stem) for o in told])
     truth = np.array([o.truth[stem] for o in told])
     half = np.array([o.half_width(stem) for o in told])
+    stated = np.array([o.estimates[stem].u for o in told])
     bound = np.array([o.limit.get(stem, np.nan) for o in told])
     # the worst quantities (a swing's, a skew's truth may be zero) have no ratio
     with np.errstate(divide="ignore", invalid="ignore"):
         relative = np.where(truth != 0, error / truth, np.nan)
         bound = np.where(bound > 0, bound, np.nan)
+        bound_relative = np.where(truth != 0, bound / truth, np.nan)
     return Row(
         stem=stem,
         told=len(told),
@@ -160,6 +168,9 @@ def statistics(outcomes: Sequence[Outcome], stem: str) -> Row | None:
         worst_z=float(np.max(np.abs([o.z(stem) for o in told]))),
         to_limit=_rms(error / bound),
         width_to_limit=float(np.mean(half / (2 * bound))),
+        limit=_rms(bound),
+        limit_rel=_rms(bound_relative),
+        stated_to_limit=_rms(stated / bound),
     )
 
 
@@ -176,6 +187,8 @@ class Answers:
     """Readings that were due and are invalid."""
     refusals: Counter[str]
     """First causes of the invalid ones."""
+    missed_because: Counter[str]
+    """First causes of the missed ones."""
 
 
 def answers(outcomes: Sequence[Outcome]) -> Answers:
@@ -189,8 +202,13 @@ def answers(outcomes: Sequence[Outcome]) -> Answers:
         false=sum(o.false for o in outcomes),
         due=sum(o.due for o in outcomes),
         missed=sum(o.due for o in invalid),
-        refusals=Counter(o.reasons[0] if o.reasons else "no reason" for o in invalid),
+        refusals=_first_causes(invalid),
+        missed_because=_first_causes([o for o in invalid if o.due]),
     )
+
+
+def _first_causes(outcomes: Iterable[Outcome]) -> Counter[str]:
+    return Counter(o.reasons[0] if o.reasons else "no reason" for o in outcomes)
 
 
 @dataclass(frozen=True)

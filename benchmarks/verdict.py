@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from groups import GROUPS
-from tally import Outcome, answers, changes, coverage_by_chance, statistics
+from tally import Outcome, Row, answers, changes, coverage_by_chance, statistics
 
 ENOUGH = 50
 """Readings from which a group's coverage is judged."""
@@ -45,8 +45,7 @@ def _laboratory(by_group: dict[str, list[Outcome]]) -> Iterator[Verdict]:
     for name in ("lab", "lab45"):
         row = statistics(by_group[name], "sag")
         if row:
-            text = f"{100 * row.rmse_rel:.2f} % of {row.told}"
-            yield Verdict(f"{name}: error of sag", "RMSE ≤ 0.3 %", text, row.rmse_rel <= 0.003)
+            yield Verdict(f"{name}: error of sag", "RMSE ≤ 0.3 %", _relative(row), row.rmse_rel <= 0.003)
     found = changes(by_group["repeat-lab"])
     if found:
         text = f"{100 * found.scatter_rel:.3f} % of {found.readings}"
@@ -57,24 +56,27 @@ def _field(by_group: dict[str, list[Outcome]]) -> Iterator[Verdict]:
     for name in ("field", "field-tower", "field-ground"):
         row = statistics(by_group[name], "sag")
         if row:
-            text = f"{100 * row.rmse_rel:.2f} % of {row.told}"
-            yield Verdict(f"{name}: error of sag", "RMSE ≤ 0.4 %", text, row.rmse_rel <= 0.004)
+            yield Verdict(f"{name}: error of sag", "RMSE ≤ 0.4 %", _relative(row), row.rmse_rel <= 0.004)
+
+
+def _relative(row: Row) -> str:
+    return f"{100 * row.rmse_rel:.2f} % of {row.told} (limit {100 * row.limit_rel:.2f} %)"
 
 
 def _clearance(by_group: dict[str, list[Outcome]]) -> Iterator[Verdict]:
     rows = {name: statistics(by_group[name], "clearance") for name in ALONG_AND_SIDE}
     found = {name: row for name, row in rows.items() if row}
     if found:
-        text = ", ".join(f"{name} {100 * row.rmse:.1f} cm" for name, row in found.items())
+        text = ", ".join(f"{name} {100 * row.rmse:.1f} cm (limit {100 * row.limit:.1f})" for name, row in found.items())
         met = all(row.rmse <= 0.05 for row in found.values())
         yield Verdict("clearance, along the line and from the side", "RMSE ≤ 5 cm", text, met)
 
 
 def _limits(by_group: dict[str, list[Outcome]]) -> Iterator[Verdict]:
     rows = {name: statistics(some, "sag") for name, some in by_group.items()}
-    over = {name: row.to_limit for name, row in rows.items() if row and not row.to_limit <= 1.5}
+    over = {name: row for name, row in rows.items() if row and not row.to_limit <= 1.5}
     if any(rows.values()):
-        text = ", ".join(f"{name} {ratio:.2f}" for name, ratio in over.items())
+        text = ", ".join(f"{name} {row.to_limit:.2f} (stated {row.stated_to_limit:.2f})" for name, row in over.items())
         count = sum(row is not None for row in rows.values())
         text = f"over in {len(over)} of {count} groups: {text}" if over else f"at most 1.5 in all {count} groups"
         yield Verdict("RMSE of sag over the limit of the scene", "≤ 1.5", text, not over)
@@ -121,4 +123,6 @@ def _missed(own: Sequence[Outcome]) -> Iterator[Verdict]:
     if a.due:
         share = 1 - a.missed / a.due
         text = f"{100 * share:.1f} % of {a.due}"
+        if a.missed:
+            text += "; missed: " + ", ".join(f"{cause} {count}" for cause, count in a.missed_because.most_common())
         yield Verdict("a valid reading where one is due", "≥ 97 %", text, share >= 0.97)

@@ -58,6 +58,9 @@ def test_every_error_is_held_against_the_limit_of_its_own_frame():
     row = tally.statistics([one(8.1, 8.0, limit=0.05), one(8.1, 8.0, limit=0.1)], "sag")
     assert row.to_limit == pytest.approx(math.sqrt((4 + 1) / 2))
     assert row.width_to_limit == pytest.approx((0.196 / 0.1 + 0.196 / 0.2) / 2)
+    assert row.limit == pytest.approx(math.sqrt((0.0025 + 0.01) / 2))
+    assert row.limit_rel == pytest.approx(row.limit / 8)
+    assert row.stated_to_limit == pytest.approx(math.sqrt((4 + 1) / 2))
 
 
 def test_normal_errors_are_covered_as_often_as_stated():
@@ -82,6 +85,7 @@ def test_a_reading_is_due_where_half_of_the_span_is_clear_by_day():
     assert (found.good, found.questionable, found.invalid) == (1, 0, 3)
     assert (found.due, found.missed) == (2, 1)
     assert found.refusals == {"dark": 3}
+    assert found.missed_because == {"dark": 1}
 
 
 def test_a_number_without_a_wire_or_far_beyond_its_own_uncertainty_is_false():
