@@ -36,19 +36,24 @@ def test_a_loaded_wire_tells_its_swing_by_what_was_seen_following_it_or_by_the_h
     assert own.swing_loaded(unsettled, by_step) == by_step[-1:]
 
 
-def with_one_far_block(aside_px: float, *, texture: bool) -> tuple[Found, Registered, Matched]:
-    """A wire under an uneven load of which the near part is seen and one block at mid-span; and what is seen near."""
+ALONE, STREAK = (0.5,), (0.29, 0.38, 0.53)
+
+
+def with_far_blocks(
+    aside_px: float, *, texture: bool, places: tuple[float, ...] = ALONE, sigma_px: float = 0.2
+) -> tuple[Found, Registered, Matched]:
+    """A wire under an uneven load of which the near part is seen and blocks farther on; and what is seen near."""
     found = along_the_line()
     registered, _ = register(found.site, demo_picture())
     survey = replace(found.match.survey, load_u=LOAD_U, load_prior=any_single())
     observed = found.match.observed
     near = observed.usable & (observed.t < 0.12)
-    far = int(np.argmin(np.abs(observed.t - 0.5)))
-    assert observed.usable[far]
+    far = [int(np.argmin(np.abs(observed.t - place))) for place in places]
+    assert observed.usable[far].all()
     offset, sigma, noise = observed.offset.copy(), observed.sigma.copy(), observed.noise.copy()
     offset[far] += aside_px
-    sigma[far] = 0.2
-    noise[far] = 0.05 if texture else 0.2
+    sigma[far] = sigma_px
+    noise[far] = 0.05 if texture else sigma_px
     both = near.copy()
     both[far] = True
     several = replace(observed, offset=offset, sigma=sigma, noise=noise, texture=0 * observed.texture)
@@ -62,11 +67,15 @@ def with_one_far_block(aside_px: float, *, texture: bool) -> tuple[Found, Regist
     return Found(found.site, found.conductor, solved_with(both)), registered, solved_with(near)
 
 
-@pytest.mark.parametrize("aside_px", [0.0, -3.0])
-def test_under_an_uneven_load_the_interval_holds_what_is_left_without_a_block_that_may_be_texture(
-    aside_px: float,
+@pytest.mark.parametrize(
+    ("aside_px", "places", "sigma_px"), [(0.0, ALONE, 0.2), (-3.0, ALONE, 0.2), (-3.0, STREAK, 1.0)]
+)
+def test_under_an_uneven_load_the_interval_holds_what_is_left_without_blocks_that_may_be_texture(
+    aside_px: float, places: tuple[float, ...], sigma_px: float
 ) -> None:
-    (site, conductor, match), registered, near = with_one_far_block(aside_px, texture=True)
+    (site, conductor, match), registered, near = with_far_blocks(
+        aside_px, texture=True, places=places, sigma_px=sigma_px
+    )
     left = without_lone(match, registered, 24)
     assert left is not None
     assert len(left.residual) == len(near.solution.residual)
@@ -75,13 +84,13 @@ def test_under_an_uneven_load_the_interval_holds_what_is_left_without_a_block_th
     before, after, alone = (
         propagate(site, conductor, m)[0]["sag"] for m in (match, told, replace(match, solution=left))
     )
-    assert alone.u > 2 * before.u, "the far block decides"
+    assert np.hypot(alone.u, alone.value - before.value) > 2 * before.u, "the far blocks decide"
     assert after.value == before.value
     assert after.u == pytest.approx(np.hypot(alone.u, alone.value - before.value), rel=1e-6)
 
 
 def test_a_quantity_under_an_uneven_load_is_its_mean_over_all_loads_and_varies_within_and_between_them() -> None:
-    (site, conductor, match), _, _ = with_one_far_block(0.0, texture=True)
+    (site, conductor, match), _, _ = with_far_blocks(0.0, texture=True)
     told, budget = propagate(site, conductor, match)
     weight = np.array([share for share, _, _ in match.solution.loads])
     assert len(weight) > 3
@@ -100,7 +109,7 @@ def test_a_quantity_under_an_uneven_load_is_its_mean_over_all_loads_and_varies_w
 
 
 def test_what_is_seen_of_an_uneven_load_at_once_is_weighed_by_all_loads_too(monkeypatch: pytest.MonkeyPatch) -> None:
-    (_, conductor, match), registered, _ = with_one_far_block(0.0, texture=False)
+    (_, conductor, match), registered, _ = with_far_blocks(0.0, texture=False)
     everything = replace(along_the_line().match, survey=match.survey)
     assert not everything.solution.loads
     monkeypatch.setattr(refinement, "FORETOLD_ENOUGH", 0.0)
@@ -108,5 +117,5 @@ def test_what_is_seen_of_an_uneven_load_at_once_is_weighed_by_all_loads_too(monk
 
 
 def test_under_an_uneven_load_a_block_that_is_surely_the_wire_may_decide() -> None:
-    (_, _, match), registered, _ = with_one_far_block(0.0, texture=False)
+    (_, _, match), registered, _ = with_far_blocks(0.0, texture=False)
     assert without_lone(match, registered, 24) is None

@@ -11,6 +11,7 @@ without the block, and all of them are weighed again.
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sagnode.estimate.joint import Solution
 from sagnode.estimate.matched import Matched, texture_chance
@@ -29,6 +30,8 @@ MAY_DECIDE = 1.2
 TEXTURE_CHANCE = 1e-3
 """Chance that a block looked at texture from which it is asked about under an uneven load: what shows so plainly that
 it is less is the wire, and nothing else may be all there is of half a span."""
+TEXTURE_LIKELY = 0.1
+"""The same chance from which blocks are asked about together: a streak of texture makes several in a row."""
 
 
 def lone_block(solution: Solution, tip: int | None = None) -> FloatArray:
@@ -39,7 +42,8 @@ def lone_block(solution: Solution, tip: int | None = None) -> FloatArray:
 
     The ``tip`` of a fold is no such block: it is beyond doubt that no other place along the fold is.
     """
-    gain, own = _leaving_out(solution, solution.covariance)
+    gain, all_own = _leaving_out(solution, solution.covariance)
+    own = np.diag(all_own)
     growth = np.sqrt(1 + gain[SAG] ** 2 / own / max(solution.covariance[SAG, SAG], 1e-18))
     if tip is not None:
         growth[tip] = 1.0
@@ -50,12 +54,13 @@ def lone_block(solution: Solution, tip: int | None = None) -> FloatArray:
 
 
 def _leaving_out(solution: Solution, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """The gain G (28, M) of the offsets under a posterior, and what each says that the others do not, s (M,)."""
+    """The gain G (28, M) of the offsets under a posterior, and what they say that the others do not, S (M, M)."""
     inverse = solution.precision / solution.inflation
     weighed = inverse @ solution.jacobian
     gain = covariance @ weighed.T
-    own = np.diag(inverse) - np.einsum("mi,im->m", weighed, gain)
-    return gain, np.maximum(own, 1e-9 * np.diag(inverse))
+    own = inverse - weighed @ gain
+    np.fill_diagonal(own, np.maximum(np.diag(own), 1e-9 * np.diag(inverse)))
+    return gain, own
 
 
 def counts(growth: float) -> float:
@@ -69,7 +74,7 @@ def without_lone(found: Matched, registered: Registered, iterations: int) -> Sol
     None where no block decides much, or the one that does is surely the wire.
     """
     deciding = _deciding(found, registered)
-    if deciding is None:
+    if not len(deciding):
         return None
     kept = np.ones(len(found.offsets.t), dtype=bool)
     kept[deciding] = False
@@ -77,8 +82,9 @@ def without_lone(found: Matched, registered: Registered, iterations: int) -> Sol
     return solution if solution.converged and np.isfinite(solution.covariance).all() else None
 
 
-def _deciding(found: Matched, registered: Registered) -> int | None:
-    """The block without which the depth at mid-span would be much less certain, of those that may be texture."""
+def _deciding(found: Matched, registered: Registered) -> NDArray[np.intp]:
+    """The blocks without which the depth at mid-span would be much less certain: one of those that may be texture, or
+    all of those that are likely to be; none where it hangs on neither."""
     survey, solution = found.survey, found.solution
     free = survey.unknowns()
     known = survey.prior_information() + solution.products[:-1, :-1] / solution.inflation
@@ -89,7 +95,17 @@ def _deciding(found: Matched, registered: Registered) -> int | None:
     depth = np.zeros(SIZE)
     depth[SAG], depth[LOAD] = 1 + shapes @ solution.theta[LOAD], solution.theta[SAG] * shapes
     gain, own = _leaving_out(solution, covariance)
-    growth = np.sqrt(1 + (depth @ gain) ** 2 / own / max(float(depth @ covariance @ depth), 1e-18))
-    growth[texture_chance(found) < TEXTURE_CHANCE] = 1.0
-    k = int(np.argmax(growth))
-    return k if growth[k] > MAY_DECIDE else None
+    chance = texture_chance(found)
+    some = [np.array([k]) for k in np.flatnonzero(chance >= TEXTURE_CHANCE)] if len(chance) > 1 else []
+    # never all: the surest stays
+    likely = np.setdiff1d(np.flatnonzero(chance >= TEXTURE_LIKELY), [np.argmin(chance)])
+    if len(likely) > 1:
+        some.append(likely)
+    most, deciding = MAY_DECIDE, np.empty(0, dtype=np.intp)
+    variance = max(float(depth @ covariance @ depth), 1e-18)
+    for blocks in some:
+        pull = depth @ gain[:, blocks]
+        growth = np.sqrt(1 + float(pull @ solved(own[np.ix_(blocks, blocks)], pull)) / variance)
+        if growth > most:
+            most, deciding = growth, blocks
+    return deciding

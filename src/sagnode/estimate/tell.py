@@ -121,7 +121,8 @@ def propagate(
     alone = 0.0
     if found.without_lone is not None:
         left = propagate(site, conductor, replace(found, solution=found.without_lone, other=None, without_lone=None))[0]
-        alone = counts(left["sag"].u / max(math.sqrt(sum(told["sag"].parts.values())), 1e-9))
+        own_u = max(math.sqrt(sum(told["sag"].parts.values())), 1e-9)
+        alone = counts(math.hypot(left["sag"].u, left["sag"].value - told["sag"].value) / own_u)
     estimates, budget = {}, {}
     for stem, (value, parts) in told.items():
         if alone:
