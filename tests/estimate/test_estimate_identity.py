@@ -38,11 +38,7 @@ def found_alone(site: Site, picture: Rendered, registered: Registered) -> dict[s
 
 
 def test_wires_a_hand_apart_are_told_apart_and_measured(tmp_path: Path) -> None:
-    site, picture, registered = beside(0.2, tmp_path)
-    alone = found_alone(site, picture, registered)
-    # the search takes the lower wire for both
-    assert alone["L1"] is not None
-    assert alone["L1"].sag[0] == pytest.approx(SAGS["L2"], abs=0.05)
+    site, picture, _ = beside(0.2, tmp_path)
     for m in measure_frame(site, picture.image):
         assert abs(m.estimates["sag"].value - SAGS[m.conductor]) < 3 * m.estimates["sag"].u
         assert m.estimates["sag"].u < 0.03

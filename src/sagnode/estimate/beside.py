@@ -210,7 +210,7 @@ def _uncertainty(match: Matched) -> FloatArray:
     places = CurveObservations(
         track.t[some], track.arc[some], track.normal[some], track.pixels[some], np.ones(len(some))
     )
-    sigma = curve_uncertainty(match.survey, match.solution, places)
+    sigma = curve_uncertainty(match.survey, match.solution.theta, match.solution.covariance, places)
     return np.interp(track.arc, track.arc[some], sigma)
 
 

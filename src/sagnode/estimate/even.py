@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from sagnode.capture.port import GreyImage
+from sagnode.estimate.afar import approached
 from sagnode.estimate.matched import Matched, attachment_z
 from sagnode.estimate.refinement import STAGES, refine, remaining_stages, view_of
 from sagnode.estimate.register import Registered
@@ -18,7 +19,7 @@ from sagnode.match.library import Shelf
 from sagnode.match.masks import Neighbour, near_another
 from sagnode.match.ribbon import line_response, normals
 from sagnode.match.robust import percentile
-from sagnode.match.search import Candidate, search
+from sagnode.match.search import POLISHED, Candidate, search
 from sagnode.match.templates import SAMPLES, STEP_PX, View
 from sagnode.match.track import mixed_samples, trace
 from sagnode.site import SiteConductor
@@ -26,6 +27,8 @@ from sagnode.survey import ATTACHMENTS, SAG, SWING, Survey
 
 CANDIDATES, CANDIDATES_APART = 4, 8
 """Candidates of the search that are refined; the second where another wire is in the way, which is among them."""
+THOROUGH = 40
+"""Peaks of the search that a second look polishes: along a treeline, twenty lie before a thin wire's."""
 COMPARED, COMPARED_SHARE = 32, 0.9
 """Samples of a refined curve that a candidate is compared at, and the share of them that must be near."""
 NODES = np.polynomial.chebyshev.chebpts1(9)
@@ -51,12 +54,43 @@ def find_even(
 ) -> Matched | None:
     """Coarse search, refinement of the best candidates, and a search along what the best one leaves open.
 
+    Where that comes to less than the search promised, a second look is more thorough: at more of the search's peaks,
+    and first as far aside as the survey leaves the wire.
+
     ``shelf`` holds the libraries that frames of the same burst have drawn before.
     """
     view = view_of(survey, conductor, registered.theta)
+    shelf = Shelf() if shelf is None else shelf
     candidates = candidates_of(image, conductor, survey, view, shelf, CANDIDATES)
+    starts = [start_of(registered, candidate) for candidate in candidates]
+    refined = _refined(image, conductor, survey, registered, view, candidates, starts)
+    found = best_of(image, refined)
+    if candidates and (found is None or _outdone_by(view, candidates, found)):
+        candidates = candidates_of(image, conductor, survey, view, shelf, CANDIDATES, THOROUGH)
+        starts = [start_of(registered, candidate) for candidate in candidates]
+        afar = [approached(image, conductor, survey, registered, start) for start in starts]
+        refined += _refined(image, conductor, survey, registered, view, candidates, afar)
+        # others that run beside it where the wide looks compare it with defeat those, but not a close one
+        close = (refine(image, conductor, survey, registered, start, [], STAGES[-1:]) for start in starts)
+        refined += [each for each in close if each is not None and each.solution.converged]
+        found = best_of(image, refined)
+    if found is None or not conductor.measured:
+        return found
+    return replace(found, rival=max(found.rival, _outdone_by(view, candidates, found)))
+
+
+def _refined(
+    image: GreyImage,
+    conductor: SiteConductor,
+    survey: Survey,
+    registered: Registered,
+    view: View,
+    candidates: Sequence[Candidate],
+    starts: Sequence[FloatArray],
+) -> list[Matched]:
+    """What some candidates of the search, the best first, and the θ (28,) to start from come to."""
     results: list[Matched] = []
-    for candidate in candidates:
+    for candidate, start in zip(candidates, starts, strict=True):
         # a curve on the wire shows at least what the search saw of it; what the search saw of others is flattered
         if results and candidate.score < RIVAL_WORTH_A_LOOK * candidates[0].score:
             break
@@ -64,18 +98,17 @@ def find_even(
             break
         if any(r.solution.converged and _near_enough(view, candidate, r) for r in results):
             continue
-        start = start_of(registered, candidate)
         results += filter(None, [refine(image, conductor, survey, registered, start, [], STAGES[:1])])
     if not results:
-        return None
+        return []
     results.sort(key=merit, reverse=True)
     if not conductor.measured:
         # known to a pixel is enough to keep out of its way, and one that has not settled is not
         best = results[0]
         if best.solution.converged:
-            return best
+            return [best]
         start = best.solution.theta
-        return refine(image, conductor, survey, registered, start, [], remaining_stages(best), best.track) or best
+        return [refine(image, conductor, survey, registered, start, [], remaining_stages(best), best.track) or best]
     # what is left open by the clear part of the best one, and other candidates that are nearly as good
     again = [results[0], *(r for r in results[1:] if _rivalry(image, results[0], r) > RIVAL_WORTH_A_LOOK)]
     refined = [
@@ -85,8 +118,7 @@ def find_even(
     refined += [refine(image, conductor, survey, registered, start, [], STAGES[1:]) for start in valley]
     aside = _a_spacing_aside(image, results[0], conductor)
     refined += [refine(image, conductor, survey, registered, start, [], STAGES) for start in aside]
-    found = best_of(image, refined)
-    return found and replace(found, rival=max(found.rival, _outdone_by(view, candidates, found)))
+    return [each for each in refined if each is not None]
 
 
 def find_apart(
@@ -111,12 +143,18 @@ def find_apart(
 
 
 def candidates_of(
-    image: GreyImage, conductor: SiteConductor, survey: Survey, view: View, shelf: Shelf | None, keep: int
+    image: GreyImage,
+    conductor: SiteConductor,
+    survey: Survey,
+    view: View,
+    shelf: Shelf | None,
+    keep: int,
+    polished: int = POLISHED,
 ) -> list[Candidate]:
-    """The best of the coarse search, ``keep`` at most, best first."""
+    """The best of the coarse search, ``keep`` at most, best first, of ``polished`` peaks that are looked at closely."""
     shelf = Shelf() if shelf is None else shelf
     library = shelf.take(conductor.id, view, survey.sag_range, conductor.swing_max, survey.attachment_u)
-    return search(image, library, survey.swing_u, keep, survey.swing_mean)
+    return search(image, library, survey.swing_u, keep, survey.swing_mean, polished)
 
 
 def start_of(registered: Registered, candidate: Candidate) -> FloatArray:

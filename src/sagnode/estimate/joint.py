@@ -155,10 +155,15 @@ class Solution:
         return pieces
 
 
-def curve_uncertainty(survey: Survey, solution: Solution, curve: CurveObservations) -> FloatArray:
-    """Standard uncertainty (M,) of the solved curve across itself, px; the offsets and their own do not matter."""
-    _, jacobian = curve_terms(survey, solution.theta, curve)
-    return np.asarray(np.sqrt(np.maximum(np.einsum("mi,ij,mj->m", jacobian, solution.covariance, jacobian), 0.0)))
+def curve_uncertainty(
+    survey: Survey, theta: FloatArray, covariance: FloatArray, curve: CurveObservations
+) -> FloatArray:
+    """Standard uncertainty (M,) of a curve across itself, px, by the covariance (28, 28) of θ (28,).
+
+    The offsets and their own uncertainty do not matter.
+    """
+    _, jacobian = curve_terms(survey, theta, curve)
+    return np.asarray(np.sqrt(np.maximum(np.einsum("mi,ij,mj->m", jacobian, covariance, jacobian), 0.0)))
 
 
 def solve(

@@ -83,8 +83,10 @@ def without_lone(found: Matched, registered: Registered, iterations: int) -> Sol
 
 
 def _deciding(found: Matched, registered: Registered) -> NDArray[np.intp]:
-    """The blocks without which the depth at mid-span would be much less certain: one of those that may be texture, or
-    all of those that are likely to be; none where it hangs on neither."""
+    """The blocks without which the depth at mid-span would be much less certain; none where it hangs on all alike.
+
+    One of those that may be texture is asked for, and all of those together that are likely to be.
+    """
     survey, solution = found.survey, found.solution
     free = survey.unknowns()
     known = survey.prior_information() + solution.products[:-1, :-1] / solution.inflation

@@ -194,11 +194,7 @@ def _foretold(
     Those that were seen before keep the whole range, unless nothing does (``everywhere``).
     """
     track, theta = found.track, found.solution.theta
-    some = np.unique(np.linspace(0, len(track.t) - 1, FORETOLD_SAMPLES).astype(np.intp))
-    places = CurveObservations(
-        track.t[some], track.arc[some], track.normal[some], track.pixels[some], np.ones(len(some))
-    )
-    sigma = np.interp(track.arc, track.arc[some], curve_uncertainty(found.survey, found.solution, places))
+    sigma = spread_along(found.survey, theta, found.solution.covariance, track)
     # where the wire was seen without being foretold, all of it speaks: what a wrong idea of its load leaves over too
     half_range = np.where(
         of_blocks(found.observed, found.observed.usable, track.t) & (not everywhere),
@@ -231,6 +227,13 @@ def _foretold(
     )
 
 
+def spread_along(survey: Survey, theta: FloatArray, covariance: FloatArray, curve: Track) -> FloatArray:
+    """Standard uncertainty (N,) of a curve across itself by a covariance (28, 28) of θ, px."""
+    some = np.unique(np.linspace(0, len(curve.t) - 1, FORETOLD_SAMPLES).astype(np.intp))
+    at = CurveObservations(curve.t[some], curve.arc[some], curve.normal[some], curve.pixels[some], np.ones(len(some)))
+    return np.interp(curve.arc, curve.arc[some], curve_uncertainty(survey, theta, covariance, at))
+
+
 def _with_tip(
     image: GreyImage,
     survey: Survey,
@@ -261,7 +264,7 @@ def _uncertainty_at(survey: Survey, solution: Solution, track: Track, turn: int)
     """Standard uncertainty of the solved curve along the axis of the fold where a track turns back, px."""
     at = slice(turn, turn + 1)
     place = CurveObservations(track.t[at], track.arc[at], axis_at(track, turn)[None], track.pixels[at], np.ones(1))
-    return float(curve_uncertainty(survey, solution, place)[0])
+    return float(curve_uncertainty(survey, solution.theta, solution.covariance, place)[0])
 
 
 def offsets_of(observed: Observed, *, bent: bool) -> CurveObservations:

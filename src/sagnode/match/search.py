@@ -26,7 +26,7 @@ SWING_PRIOR = 0.3
 LEAST_SEEN = 0.2
 """Share of what the best seen curve shows in the frame that a curve must show."""
 POLISHED = 8
-"""Most peaks of the grid that are looked at more closely."""
+"""Most peaks of the grid that are looked at more closely, as a rule."""
 POLISH = (1.0, 0.4)
 """How far about a peak to look at a time, in steps of the grid."""
 ASIDE = np.linspace(-1.0, 1.0, 5)
@@ -47,7 +47,12 @@ class Candidate:
 
 
 def search(
-    image: GreyImage, library: Library | None, swing_u: float, keep: int = 8, swing_mean: float = 0.0
+    image: GreyImage,
+    library: Library | None,
+    swing_u: float,
+    keep: int = 8,
+    swing_mean: float = 0.0,
+    polished: int = POLISHED,
 ) -> list[Candidate]:
     """Coarse search over sag × swing; the best, well separated candidates, best first.
 
@@ -57,6 +62,7 @@ def search(
         swing_u: standard uncertainty of the swing's prior, rad.
         keep: most candidates.
         swing_mean: mean of that prior, rad.
+        polished: most peaks of the grid that are looked at more closely.
     """
     if library is None:
         return []
@@ -75,7 +81,7 @@ def search(
     # the prior on swing decides where the view hardly sees it, and keeps clutter at extreme swings in its place
     expected = (swing_mean, swing_u)
     prior = _swing_penalty(swings, expected)
-    found = _peaks(np.where(visible >= LEAST_SEEN * visible.max(initial=0.0), scores - prior, -np.inf), POLISHED)
+    found = _peaks(np.where(visible >= LEAST_SEEN * visible.max(initial=0.0), scores - prior, -np.inf), polished)
     if not len(found):
         return []
     best_sags, best_swings = sags[found[:, 0]], swings[found[:, 1]]
