@@ -1,11 +1,12 @@
-"""A single block of wire that decides alone: what is told must hold without it as well.
+"""Blocks of wire that decide and may be texture: what is told must hold without them as well.
 
 Before hills or a tower's lattice, one block may be all that shows the far half of a span. The chance that it is texture
 is small, but known badly, and where it is, the estimate is wrong by many of its uncertainties. Where others say the
 same, leaving it out changes little.
 
 Under an even load one linear step tells what would be left. Under an uneven one other loads may be the likely ones
-without the block, and all of them are weighed again.
+without the block, and all of them are weighed again. There, too, several blocks in a row along a streak of a meadow can
+decide together, since a load bends to all of them.
 """
 
 from __future__ import annotations
@@ -69,9 +70,9 @@ def counts(growth: float) -> float:
 
 
 def without_lone(found: Matched, registered: Registered, iterations: int) -> Solution | None:
-    """A conductor under an uneven load solved for without the block that decides most.
+    """A conductor under an uneven load solved for without the blocks that may be texture and decide most.
 
-    None where no block decides much, or the one that does is surely the wire.
+    None where such blocks do not decide much.
     """
     deciding = _deciding(found, registered)
     if not len(deciding):

@@ -66,7 +66,7 @@ class Matched:
     doubtful_load: bool = False
     """The wire hangs unevenly by its misfit, and no uneven load was found that explains it better."""
     without_lone: Solution | None = None
-    """Under an uneven load, what is left without a block that may be texture and decides much."""
+    """Under an uneven load, what is left without blocks that may be texture and decide much."""
     crowded: bool = False
     """On a wire, but others run so near it all along that nothing of it can be measured by itself."""
     or_of: str = ""

@@ -127,7 +127,7 @@ def propagate(
     for stem, (value, parts) in told.items():
         if alone:
             beyond = left[stem].u ** 2 - sum(parts.values())
-            parts["one block alone"] = alone * ((left[stem].value - value) ** 2 + max(beyond, 0.0))
+            parts["blocks that may be texture"] = alone * ((left[stem].value - value) ** 2 + max(beyond, 0.0))
         if stem in other:
             # the 95 % interval reaches as far as the value under the other load, and is no narrower than that one's
             beyond = other[stem].u ** 2 - sum(parts.values())
