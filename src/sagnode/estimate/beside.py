@@ -16,12 +16,9 @@ from numpy.typing import NDArray
 
 from sagnode.capture.port import GreyImage
 from sagnode.estimate.even import best_of, find_apart, find_even, merit
-from sagnode.estimate.joint import curve_uncertainty
 from sagnode.estimate.matched import Matched, is_wire, looked_at, may_be_wire, measured_share
-from sagnode.estimate.offsets import CurveObservations
-from sagnode.estimate.refinement import refine, remaining_stages, survey_of
+from sagnode.estimate.refinement import refine, remaining_stages, spread_along, survey_of
 from sagnode.estimate.register import Registered
-from sagnode.geometry.camera import FloatArray
 from sagnode.match.library import Shelf
 from sagnode.match.masks import Neighbour, near, near_another
 from sagnode.match.peel import Line, peeled
@@ -40,8 +37,6 @@ DISTURBED_SHARE = 0.2
 measured."""
 MOVED_PX, MOVED_SHARE = 0.5, 0.05
 """A wire that lies farther than this from where it was taken out, over this share of another beside it, was not."""
-SAMPLES = 60
-"""Places along a curve where its uncertainty is worked out."""
 SAME_WIRE = 0.25
 """Share of a curve within a pixel or two of another from which both lie on one wire."""
 SAME_PX = 2.0
@@ -65,7 +60,7 @@ def without(image: GreyImage, own: Matched | None, others: Sequence[Matched]) ->
     lines: list[Line] = []
     neighbours: list[Neighbour] = []
     for other in others:
-        unsure = _uncertainty(other)
+        unsure = spread_along(other.survey, other.solution.theta, other.solution.covariance, other.track)
         track = other.track
         beside = np.ones(len(track.t), dtype=bool)
         if own is not None:
@@ -201,17 +196,6 @@ def _others(found: Mapping[str, Matched | None], conductor: SiteConductor) -> li
 def _strength(match: Matched | None) -> float:
     """How surely a conductor was found: what its curve shows, and how much of it."""
     return -1.0 if match is None or not match.solution.converged else merit(match) * measured_share(match)
-
-
-def _uncertainty(match: Matched) -> FloatArray:
-    """Standard uncertainty of a conductor's curve across itself at the samples (N,) of its track, px."""
-    track = match.track
-    some = np.unique(np.linspace(0, len(track.t) - 1, SAMPLES).astype(np.intp))
-    places = CurveObservations(
-        track.t[some], track.arc[some], track.normal[some], track.pixels[some], np.ones(len(some))
-    )
-    sigma = curve_uncertainty(match.survey, match.solution.theta, match.solution.covariance, places)
-    return np.interp(track.arc, track.arc[some], sigma)
 
 
 def _stretches(some: NDArray[np.bool_]) -> list[slice]:

@@ -99,7 +99,7 @@ def _deciding(found: Matched, registered: Registered) -> NDArray[np.intp]:
     depth[SAG], depth[LOAD] = 1 + shapes @ solution.theta[LOAD], solution.theta[SAG] * shapes
     gain, own = _leaving_out(solution, covariance)
     chance = texture_chance(found)
-    some = [np.array([k]) for k in np.flatnonzero(chance >= TEXTURE_CHANCE)] if len(chance) > 1 else []
+    some = [np.array([k]) for k in np.flatnonzero(chance >= TEXTURE_CHANCE)]
     # never all: the surest stays
     likely = np.setdiff1d(np.flatnonzero(chance >= TEXTURE_LIKELY), [np.argmin(chance)])
     if len(likely) > 1:
