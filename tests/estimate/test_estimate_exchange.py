@@ -3,10 +3,18 @@
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
+from demo_wire import of_blocks_alone
+from numpy.typing import NDArray
 
 from sagnode.calibrate.files import save_intrinsics
 from sagnode.config.node import Measure
+from sagnode.estimate.even import find_even
+from sagnode.estimate.exchange import exchangeable
+from sagnode.estimate.matched import looked_at
+from sagnode.estimate.refinement import survey_of
+from sagnode.estimate.register import register
 from sagnode.geometry.camera import Intrinsics
 from sagnode.measurement import FrameMeasurement
 from sagnode.pipeline import load_site, measure_frame
@@ -15,6 +23,7 @@ from sagnode.scene.catenary import WireState
 from sagnode.scene.presets import simple_scene
 from sagnode.scene.render import render
 from sagnode.scene.spec import Moment, Scene
+from sagnode.site import Site
 
 SAGS = {"L1": 1.9, "L2": 2.0}
 SURE, UNSURE = 0.02, 0.2
@@ -30,6 +39,16 @@ def from_the_side(
     possible: tuple[float, float] = ANY_SAG,
     focal: float = 1500.0,
 ) -> list[FrameMeasurement]:
+    return measure_frame(*pictured(folder, attachment_u, sags, possible, focal))
+
+
+def pictured(
+    folder: Path,
+    attachment_u: float,
+    sags: dict[str, float],
+    possible: tuple[float, float] = ANY_SAG,
+    focal: float = 1500.0,
+) -> tuple[Site, NDArray[np.uint8]]:
     """The middle of a span of 60 m, seen from 36 m to its side, two conductors 5 m behind each other.
 
     L2 is thinner, so that its wire is no rival of L1's by what it shows.
@@ -48,7 +67,7 @@ def from_the_side(
     span = scene.surveyed.model_copy(update={"camera": camera, "landmarks": (), "conductors": pair})
     seen = Scene(span, span, lens, replace(scene.world, backdrop="textured"), seed=3)
     moment = Moment({name: WireState(sag) for name, sag in sags.items()}, seed=2)
-    return measure_frame(load_site(span, Measure()), render(seen, moment).image)
+    return load_site(span, Measure()), render(seen, moment).image
 
 
 def test_both_are_refused_where_each_may_be_the_other(tmp_path: Path) -> None:
@@ -64,6 +83,23 @@ def test_one_alone_is_refused_where_it_may_be_the_other(left: str, tmp_path: Pat
     measured = from_the_side(tmp_path, UNSURE, {left: SAGS[left]})
     assert all(m.validity is Validity.INVALID for m in measured)
     assert any(r.cause is Cause.AMBIGUOUS for m in measured for r in m.reasons)
+
+
+@pytest.mark.parametrize(
+    ("share", "possible", "doubtful"), [(1, ANY_SAG, False), (3, ANY_SAG, True), (3, FEW_SAGS, False)]
+)
+def test_what_hardly_shows_proves_nothing_against_one_that_was_not_found(
+    share: int, possible: tuple[float, float], doubtful: bool, tmp_path: Path
+) -> None:
+    site, image = pictured(tmp_path, SURE, {"L1": SAGS["L1"]}, possible)
+    registered, _ = register(site, image)
+    own = next(c for c in site.conductors if c.id == "L1")
+    found = find_even(image, own, survey_of(own, registered), registered)
+    assert found is not None
+    found = looked_at(image, found)
+    # one block in three shows the wire, or each of them
+    hardly = of_blocks_alone(found, np.arange(len(found.observed.usable)) % share == 0)
+    assert exchangeable(site.conductors, registered, {"L1": hardly, "L2": None}) == ({"L1": "L2"} if doubtful else {})
 
 
 @pytest.mark.parametrize(("attachment_u", "possible"), [(SURE, ANY_SAG), (UNSURE, FEW_SAGS)])

@@ -3,7 +3,8 @@
 Seen from the side, conductors beside each other are pictured as lines a few pixels apart, and a little more sag of the
 one makes up for a little less of the other. What tells them apart are the attachments, and the sags that are possible;
 where neither does, there are two answers, and none of them may be told. That one conductor is not found at all makes no
-difference: its wire may be the one that the other was found on.
+difference: its wire may be the one that the other was found on. If of that one hardly anything shows, it may even have
+been followed along both, and what misfits say of it proves nothing.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sagnode.estimate.joint import solve
-from sagnode.estimate.matched import Matched, is_wire, visible_share
+from sagnode.estimate.matched import Matched, is_wire, shown_share, visible_share
 from sagnode.estimate.offsets import CurveObservations
 from sagnode.estimate.refinement import survey_of, view_of
 from sagnode.estimate.register import Registered
@@ -32,6 +33,9 @@ exp(25/2), or one in 270 000, if offsets erred as they say."""
 CERTAIN_SHARE = 0.5
 """Share of a span that must be seen of a conductor for its wire not to be another's: with less it may lie across
 several, and each of them be free for others."""
+HARDLY_SHOWN = 0.5
+"""Share of the blocks below which what shows of a conductor proves nothing against one that could be there as well and
+was not found: it may have been followed along both, here the one and there the other."""
 TRIES = 4
 """Steps by which a conductor's curve approaches another wire."""
 FAR_PX, NEAR_PX = 40.0, 6.0
@@ -70,7 +74,8 @@ def exchangeable(
         wires = [(other, own)] + [(own, other)] * (other.id in settled)
         if all(misfit(one, there.id) < np.inf for one, there in wires):
             worse = sum(misfit(one, there.id) - misfit(there, there.id) for one, there in wires)
-            if worse < WORSE:
+            hardly = other.id not in seen and shown_share(seen[own.id]) < HARDLY_SHOWN
+            if hardly or worse < WORSE:
                 result[own.id] = other.id
     return result
 
