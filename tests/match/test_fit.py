@@ -10,6 +10,9 @@ import pytest
 from numpy.typing import NDArray
 
 from sagnode.match.fit import FitResult, draw_fit, fit_between
+from sagnode.match.fit_curve import Curve
+from sagnode.match.fit_follow import KERNELS
+from sagnode.match.fit_judge import judge
 from sagnode.quality import Cause
 
 Floats = NDArray[np.float64]
@@ -135,6 +138,36 @@ def test_a_tight_bundle_is_followed_along_its_middle() -> None:
     result = fit_between(picture(image), *clicks(truth, rng, 1.0))
     assert result.found, result.reasons
     assert np.median(distances(result, truth)) < 0.8
+
+
+@pytest.mark.parametrize("width", [8.0, 10.0, 14.0, 18.0, 24.0])
+@pytest.mark.parametrize("behind", ["sky", "trees"])
+def test_a_thick_wire_is_followed_along_its_middle_and_not_along_an_edge(width: float, behind: str) -> None:
+    rng = np.random.default_rng(7)
+    truth = inside(VIEWS["rolled"], width)
+    backdrop, grey = (sky(rng), 70) if behind == "sky" else (trees(rng), 165)
+    result = fit_between(picture(draw(backdrop, truth, width, grey)), *clicks(truth, rng, 1.0))
+    assert result.found, result.reasons
+    assert np.median(distances(result, truth)) < 0.35
+
+
+@pytest.mark.parametrize("width", [8.0, 14.0, 18.0, 24.0])
+def test_a_thick_wire_with_a_shaded_side_is_followed_along_its_middle(width: float) -> None:
+    rng = np.random.default_rng(7)
+    truth = inside(VIEWS["rolled"], width)
+    lit = draw(sky(rng), truth, width, 70)
+    shaded = draw(lit, truth + np.array([0.0, width / 4]), width / 3, 40)
+    result = fit_between(picture(shaded), *clicks(truth, rng, 1.0))
+    assert result.found, result.reasons
+    assert np.median(distances(result, truth)) < 0.5
+
+
+@pytest.mark.parametrize("width", [3.0, 6.0, 11.0, 18.0])
+def test_the_width_of_a_clear_wire_is_told(width: float) -> None:
+    ends = np.array([[60.0, 200.0], [840.0, 420.0]])
+    image = draw(sky(np.random.default_rng(5)), np.linspace(ends[0], ends[1], 900), width, 70)
+    verdict = judge(image.astype(np.float32), Curve(np.stack([ends[0], ends.mean(axis=0), ends[1]]), 1.0))
+    assert [KERNELS[number][0] for number in verdict.kernels] == [width, width]
 
 
 def test_a_wire_that_departs_from_every_bezier_is_followed() -> None:

@@ -22,10 +22,11 @@ from sagnode.match.kernels import STEP_PX, kernel_reach, unit_kernels
 from sagnode.match.localise import block_starts
 from sagnode.match.ribbon import arc_length, normals
 
-KERNELS = ((1.5, 1.2), (1.5, 3.0), (3.0, 3.0), (6.0, 3.0), (11.0, 3.0))
+KERNELS = ((1.5, 1.2), *((width, 3.0) for width in (1.5, 3.0, 6.0, 8.0, 11.0)), (14.0, 4.5), (18.0, 6.0), (28.0, 10.0))
 """Widths of wires, cables and unresolved bundles that are looked for, with the background taken in on either side, px.
 
-The first sees a wire whose neighbour is only a few pixels away."""
+The first sees a wire whose neighbour is only a few pixels off. Were the widths further apart, the edge of a thick wire,
+or its lit or shaded side, would look more like a wire than the whole of it."""
 BLOCK = (8.0, 20.0)
 """Least and greatest length of a block, px."""
 CHANGING = 0.5
@@ -43,7 +44,9 @@ BOWS = 1
 BEND = 0.4
 """Typical difference of the offsets of neighbouring blocks, px of the level."""
 MOST = 6.0
-"""Greatest evidence of one block."""
+"""Evidence of one block that counts in full."""
+BEYOND = 0.3
+"""Share that counts of what exceeds it: a clear wire exceeds it with most widths, also beside its middle."""
 SAMPLES_PER_PX = 0.8
 """Independent samples per pixel across, for turning correlation into evidence."""
 
@@ -171,10 +174,15 @@ def polarities(signed: FloatArray, inside: NDArray[np.bool_]) -> list[FloatArray
     The background is the median strength of either sign in the block's own row: texture looks like wires everywhere.
     """
     background = np.stack([_row_median(np.abs(layer), inside) for layer in signed])[:, :, None]
-    bright = np.clip(signed - background, -1.0, MOST).max(axis=0)
-    dark = np.clip(-signed - background, -1.0, MOST).max(axis=0)
+    bright = _bounded(signed - background).max(axis=0)
+    dark = _bounded(-signed - background).max(axis=0)
     either = np.maximum(bright, dark) - CHANGING
     return [np.where(inside, part, 0.0) for part in (dark, bright, either)]
+
+
+def _bounded(evidence: FloatArray) -> FloatArray:
+    """Evidence from -1 up, without most of what exceeds ``MOST``: one block must not decide, nor places be equal."""
+    return np.asarray(np.clip(evidence, -1.0, MOST) + BEYOND * np.maximum(evidence - MOST, 0.0))
 
 
 def _row_median(values: FloatArray, inside: NDArray[np.bool_]) -> FloatArray:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from sagnode.geometry.camera import FloatArray
 from sagnode.match.fit_curve import Curve
-from sagnode.match.fit_follow import KERNELS, MOST, Look, best_bow, look, polarities
+from sagnode.match.fit_follow import KERNELS, Look, best_bow, look, polarities
 
 SHIFTS_PX = np.arange(9.0, 42.0, 3.0)
 """Distances at which the curve is laid beside itself, either side."""
@@ -25,7 +25,7 @@ class Verdict:
 
     Attributes:
         fraction: arc fractions of the blocks (M,).
-        evidence: log-likelihood ratio of a wire against none in each block (M,), at most 6.
+        evidence: log-likelihood ratio of a wire against none in each block (M,).
         rank: share of the places beside that look less like a wire (M,), 0..1; NaN outside the frame.
         strength: mean evidence over the blocks inside the frame.
         score: robust z of the strength among curves beside it that were bent to their advantage.
@@ -99,9 +99,12 @@ def _both(shifts: FloatArray) -> FloatArray:
 
 
 def _kernel_path(seen: Look) -> NDArray[np.intp]:
-    """Kernel of each block (M,), going evenly from the one that fits the start to the one that fits the end."""
+    """Kernel of each block (M,), going evenly from the one that fits the start to the one that fits the end.
+
+    Here what a block says is not bounded: of a clear wire most widths would say the same, and the narrowest be taken.
+    """
     middle = np.abs(seen.offsets) <= TOLERANCE_PX
-    here = np.minimum(np.abs(seen.signed[:, :, middle]).max(axis=2), MOST)
+    here = np.abs(seen.signed[:, :, middle]).max(axis=2)
     number = np.arange(len(KERNELS))
     paths = [np.rint(a + (b - a) * seen.fraction).astype(np.intp) for a in number for b in number]
     rows = np.arange(here.shape[1])
