@@ -170,6 +170,14 @@ def test_the_width_of_a_clear_wire_is_told(width: float) -> None:
     assert [KERNELS[number][0] for number in verdict.kernels] == [width, width]
 
 
+def test_the_flank_of_a_wire_is_no_wire() -> None:
+    rng = np.random.default_rng(7)
+    truth = inside(VIEWS["side"], 40)
+    first, last = truth[[0, -1]] + np.array([0.0, 15.0])
+    result = fit_between(picture(draw(sky(rng, 1.0), truth, 4.0, 60)), (first[0], first[1]), (last[0], last[1]))
+    assert not result.found or np.median(distances(result, truth)) < 0.35
+
+
 def test_a_wire_that_departs_from_every_bezier_is_followed() -> None:
     rng = np.random.default_rng(6)
     truth = inside(VIEWS["side"])

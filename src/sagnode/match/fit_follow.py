@@ -134,12 +134,15 @@ def block_length(length: float) -> float:
 def _own_right(contrast: FloatArray) -> FloatArray:
     """How far each line is one in its own right (W, M, K), 0..1, and not the flank of a stronger one of the other sign.
 
-    The shoulders of a dark wire look like faint bright lines beside it, the more so after sharpening or compression.
+    The shoulders of a dark wire look like faint bright lines beside it, the more so after sharpening or compression;
+    and what is wide looks like a line up to any narrower one.
     """
     own = np.empty_like(contrast)
+    brightest, darkest = np.zeros_like(contrast[0]), np.zeros_like(contrast[0])
     for layer, (width, _), factor in zip(contrast, KERNELS, own, strict=True):
         reach = np.ones((1, 2 * int((0.5 * width + FLANK_PX) / STEP_PX) + 1))
-        beside_bright, beside_dark = (cv2.dilate(part, reach) for part in (layer, -layer))
+        brightest, darkest = np.maximum(brightest, layer), np.maximum(darkest, -layer)
+        beside_bright, beside_dark = (cv2.dilate(part, reach) for part in (brightest, darkest))
         stronger = np.maximum(np.where(layer > 0, beside_dark, beside_bright), 1e-6)
         factor[:] = np.clip((np.abs(layer) / stronger - FLANK) / (OWN_RIGHT - FLANK), 0.0, 1.0)
     return own
