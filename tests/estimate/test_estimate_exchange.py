@@ -16,7 +16,6 @@ from sagnode.estimate.matched import looked_at
 from sagnode.estimate.refinement import survey_of
 from sagnode.estimate.register import register
 from sagnode.geometry.camera import Intrinsics
-from sagnode.measurement import FrameMeasurement
 from sagnode.pipeline import load_site, measure_frame
 from sagnode.quality import Cause, Validity
 from sagnode.scene.catenary import WireState
@@ -30,16 +29,6 @@ SURE, UNSURE = 0.02, 0.2
 """How well attachments may be known, m: the wires' pictures tell which is whose, or they do not."""
 ANY_SAG, FEW_SAGS = (1.0, 3.2), (1.75, 2.15)
 """Possible sags, m: those that the conductors would have in each other's places among them, or not."""
-
-
-def from_the_side(
-    folder: Path,
-    attachment_u: float,
-    sags: dict[str, float],
-    possible: tuple[float, float] = ANY_SAG,
-    focal: float = 1500.0,
-) -> list[FrameMeasurement]:
-    return measure_frame(*pictured(folder, attachment_u, sags, possible, focal))
 
 
 def pictured(
@@ -71,7 +60,7 @@ def pictured(
 
 
 def test_both_are_refused_where_each_may_be_the_other(tmp_path: Path) -> None:
-    for m in from_the_side(tmp_path, UNSURE, SAGS):
+    for m in measure_frame(*pictured(tmp_path, UNSURE, SAGS)):
         other = {"L1": "L2", "L2": "L1"}[m.conductor]
         assert m.validity is Validity.INVALID
         assert not m.estimates
@@ -80,7 +69,7 @@ def test_both_are_refused_where_each_may_be_the_other(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("left", ["L1", "L2"])
 def test_one_alone_is_refused_where_it_may_be_the_other(left: str, tmp_path: Path) -> None:
-    measured = from_the_side(tmp_path, UNSURE, {left: SAGS[left]})
+    measured = measure_frame(*pictured(tmp_path, UNSURE, {left: SAGS[left]}))
     assert all(m.validity is Validity.INVALID for m in measured)
     assert any(r.cause is Cause.AMBIGUOUS for m in measured for r in m.reasons)
 
@@ -106,14 +95,14 @@ def test_what_hardly_shows_proves_nothing_against_one_that_was_not_found(
 def test_both_are_told_where_the_survey_leaves_one_way(
     attachment_u: float, possible: tuple[float, float], tmp_path: Path
 ) -> None:
-    for m in from_the_side(tmp_path, attachment_u, SAGS, possible):
+    for m in measure_frame(*pictured(tmp_path, attachment_u, SAGS, possible)):
         assert m.validity is not Validity.INVALID, m.reasons
         assert abs(m.estimates["sag"].value - SAGS[m.conductor]) < 3 * m.estimates["sag"].u
 
 
 def test_wires_too_near_to_be_measured_apart_say_so(tmp_path: Path) -> None:
     causes = set()
-    for m in from_the_side(tmp_path, SURE, SAGS, focal=700.0):
+    for m in measure_frame(*pictured(tmp_path, SURE, SAGS, focal=700.0)):
         assert m.validity is Validity.INVALID
         causes |= {r.cause for r in m.reasons if "all along" in r.text}
     assert causes == {Cause.AMBIGUOUS}
@@ -121,6 +110,6 @@ def test_wires_too_near_to_be_measured_apart_say_so(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("focal", [850.0, 1000.0])
 def test_wires_a_few_pixels_apart_are_both_told(focal: float, tmp_path: Path) -> None:
-    for m in from_the_side(tmp_path, UNSURE, SAGS, FEW_SAGS, focal):
+    for m in measure_frame(*pictured(tmp_path, UNSURE, SAGS, FEW_SAGS, focal)):
         assert m.validity is not Validity.INVALID, m.reasons
         assert abs(m.estimates["sag"].value - SAGS[m.conductor]) < 3 * m.estimates["sag"].u
