@@ -11,7 +11,7 @@ help:
 	@echo "make lint    linters and types alone"
 	@echo "make format  put the source into its standard form"
 	@echo "make bench   speed, memory, idle cost, and the errors of the code that is timed (ten minutes; docs/performance.md)"
-	@echo "make accuracy   errors and coverage over many drawn worlds (an hour; docs/accuracy.md, docs/monte-carlo.md)"
+	@echo "make accuracy   errors and coverage over many drawn worlds (an hour; docs/accuracy.md, missed.md, monte-carlo.md)"
 	@echo "make faults  thousands of faults, and what became of the readings (half an hour; ONLY=kill,disk for parts)"
 	@echo "make test-platform   whole machines, an hour: packages, booted systems, cameras, aarch64 (docs/platform.md; JOBS=2)"
 	@echo "make audit   known holes in the pinned packages, asked of PyPI (or DATABASE=a checkout of its advisories)"
@@ -42,6 +42,7 @@ bench:
 accuracy:
 	@scripts/setup dev
 	@$(BIN)/python benchmarks/run.py
+	@$(BIN)/python benchmarks/missed.py
 	@$(BIN)/python benchmarks/montecarlo.py
 
 faults:

@@ -9,6 +9,8 @@ from pathlib import Path
 from typing import Any
 from unittest.mock import patch
 
+import pytest
+
 import missed
 from sagnode.capture.port import GreyImage
 from sagnode.estimate.matched import Matched
@@ -16,7 +18,11 @@ from sagnode.site import SiteConductor
 from tally import OWN
 from worlds import Shot
 
-ROW = {"world": 0, "frame": 0, "method": OWN, "due": 1, "validity": "invalid"}
+ROW = {"world": 0, "frame": 0, "method": OWN, "due": 1, "validity": "invalid", "sag_truth": 8.25}
+
+
+SEED, TRUE_SAGS = 4, {"L1": 7.8576, "L3": 8.4489}
+"""A world of the suite, and true sags in it, m."""
 
 
 def test_what_was_due_and_refused_is_asked_about_and_nothing_else(tmp_path: Path) -> None:
@@ -33,7 +39,7 @@ def test_what_was_due_and_refused_is_asked_about_and_nothing_else(tmp_path: Path
         writer.writerows(rows)
     due, refused = missed.missed_in(tmp_path / "table.csv")
     assert due == {"tower": 2, "fog": 1}
-    assert refused == {("tower", 0, 0): ["L1"], ("fog", 0, 3): ["L2"]}
+    assert refused == {("tower", 0, 0): {"L1": 8.25}, ("fog", 0, 3): {"L2": 8.25}}
 
 
 def test_what_a_search_lost_is_told_from_the_true_curve() -> None:
@@ -50,12 +56,17 @@ def test_what_a_search_lost_is_told_from_the_true_curve() -> None:
         return noting
 
     with patch.object(missed, "told_by_truth", noted):
-        found = list(missed.again(frame, ["L1", "L3"], seed=4))
+        found = list(missed.again(frame, TRUE_SAGS, seed=SEED))
     assert [(each.told, each.off, each.cause) for each in found] == [(True, False, "")] * 2
     assert {name for name, _, _ in asked} >= {"L1", "L2", "L3"}
     for _, sag, match in asked:
         assert match is not None
         assert abs(match.sag[0] - sag) < 4 * match.sag[1]
+
+
+def test_a_table_of_another_seed_is_not_answered() -> None:
+    with pytest.raises(missed.OtherWorldError, match="give the seed"):
+        list(missed.again(("tower", 0, 0), TRUE_SAGS, seed=SEED + 1))
 
 
 def test_the_table_counts_by_group_and_together() -> None:
