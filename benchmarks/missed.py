@@ -1,7 +1,7 @@
 """Why readings that were due were refused: the same frames measured by a node that is told where the wires are.
 
-    python benchmarks/run.py [--seed 5767] [--csv out/bench/accuracy.csv]
-    python benchmarks/missed.py [--seed 5767] [--csv out/bench/accuracy.csv] [--out docs]
+    python benchmarks/run.py [--seed 7] [--csv out/bench/accuracy.csv]
+    python benchmarks/missed.py [--seed 7] [--csv out/bench/accuracy.csv] [--out docs]
 
 Every frame of that table in which a due conductor was refused is measured once more. The search is left out: each
 conductor's refinement begins at its true sag, swing, attachments and camera, and has no rivals, which only a search

@@ -23,7 +23,7 @@ import cv2
 import numpy as np
 
 from groups import groups_by_name
-from run import REPORT_SEED, ROOT
+from run import ROOT
 from sagnode.estimate.camera import LandmarkObservations, solve_camera
 from sagnode.estimate.joint import solve
 from sagnode.estimate.locate import locate
@@ -43,6 +43,7 @@ from worlds import settle
 
 VIEWS = ("lab", "lab45", "tower", "field-tower", "field-ground", "side100")
 STEMS = ("sag", "inplane_sag", "swing", "lowest_height", "drop", "clearance", "catenary_constant")
+SEED = 5767
 AGREE = 0.1
 """Stated and drawn uncertainty agree when they differ by less than a tenth beyond what chance moves the drawn one."""
 
@@ -93,7 +94,7 @@ class Line:
 def main() -> int:
     parser = argparse.ArgumentParser(description="linear propagation of uncertainty against Monte Carlo")
     parser.add_argument("--draws", type=int, default=2000)
-    parser.add_argument("--seed", type=int, default=REPORT_SEED)
+    parser.add_argument("--seed", type=int, default=SEED)
     parser.add_argument("--views", default=",".join(VIEWS), help="groups of the suite (default: %(default)s)")
     parser.add_argument("--out", type=Path, default=ROOT / "docs", help="folder of monte-carlo.md")
     options = parser.parse_args()
