@@ -6,6 +6,7 @@ commands. This module imports neither NumPy nor OpenCV.
 
 from __future__ import annotations
 
+import re
 from typing import Any, NamedTuple
 
 from pydantic import BaseModel
@@ -17,6 +18,8 @@ from sagnode.message import HealthMessage, Reading, StatusMessage
 PREFIX = "sagnode/v1/{utility}/{line}/{span}/{unit}"
 """Default of mqtt.prefix."""
 _REF = "#/components/schemas/{model}"
+_MARKUP = re.compile(r":\w+:`~?([^`]+)`|``([^`]+)``")
+"""What docstrings mark up for Sphinx: a reference, and code."""
 
 
 class _Channel(NamedTuple):
@@ -134,6 +137,21 @@ def _schemas() -> dict[str, Any]:
         *((model, "validation") for model in received),
     ]
     _, definitions = models_json_schema(modes, ref_template=_REF)
-    schemas: dict[str, Any] = dict(definitions["$defs"])
+    schemas: dict[str, Any] = plain(definitions["$defs"])
     schemas["Command"] = {"oneOf": [{"$ref": _REF.format(model=model.__name__)} for model in received]}
     return schemas
+
+
+def plain(schema: dict[str, Any]) -> dict[str, Any]:
+    """The same schema with descriptions for readers who know no Sphinx: ``X`` becomes `X`, and a reference its name."""
+    return {key: _plain(value, key) for key, value in schema.items()}
+
+
+def _plain(value: Any, key: str = "") -> Any:
+    if isinstance(value, dict):
+        return plain(value)
+    if isinstance(value, list):
+        return [_plain(each) for each in value]
+    if key == "description":
+        return _MARKUP.sub(r"`\1\2`", value)
+    return value

@@ -73,17 +73,25 @@ class Estimate(NamedTuple):
     hi: float
 
 
-class Strict(BaseModel):
-    """Base of all messages: frozen, unknown fields are an error, NaN and infinity are no numbers."""
+FORM = "name and version of the message's form"
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+class Strict(BaseModel):
+    """Base of all messages: frozen, unknown fields are an error, NaN and infinity are no numbers.
+
+    What is sent has every field, so a schema of what is sent requires them all; what is read may leave defaults out.
+    """
+
+    model_config = ConfigDict(
+        extra="forbid", frozen=True, allow_inf_nan=False, json_schema_serialization_defaults_required=True
+    )
 
 
 class ReasonMessage(Strict):
     """One reason for less than good quality."""
 
-    cause: Cause
-    detail_qual: DetailQual
+    cause: Cause = Field(description="the node's own word for it")
+    detail_qual: DetailQual = Field(description="the IEC 61850-7-3 word that the cause belongs to")
     text: str = Field(description="what was seen, with numbers, and what to do")
 
     @classmethod
@@ -95,11 +103,11 @@ class ReasonMessage(Strict):
 class QualityMessage(Strict):
     """IEC 61850-7-3 quality of a reading."""
 
-    validity: Validity
-    detail_qual: tuple[DetailQual, ...] = ()
-    reasons: tuple[ReasonMessage, ...] = ()
-    source: Literal["process", "substituted"] = "process"
-    test: bool = False
+    validity: Validity = Field(description="good, questionable (with a number and reasons) or invalid (without)")
+    detail_qual: tuple[DetailQual, ...] = Field(default=(), description="the IEC word of every reason, each once")
+    reasons: tuple[ReasonMessage, ...] = Field(default=(), description="why it is not good")
+    source: Literal["process", "substituted"] = Field(default="process", description="always process: measured")
+    test: bool = Field(default=False, description="made while the unit is being commissioned: not to be acted on")
 
     @classmethod
     def of(cls, validity: Validity, reasons: tuple[Reason, ...], *, test: bool = False) -> QualityMessage:
@@ -111,35 +119,41 @@ class QualityMessage(Strict):
 class Identity(Strict):
     """Which conductor of which span, seen by which unit."""
 
-    utility: str
-    line: str
-    span: str
-    unit: str
+    utility: str = Field(description="unit.utility of the node file")
+    line: str = Field(description="unit.line of the node file")
+    span: str = Field(description="unit.span of the node file")
+    unit: str = Field(description="unit.unit of the node file")
 
 
 class ReadingHeader(Strict):
     """Everything of a reading but its quantities; :class:`Reading` adds those."""
 
-    schema_version: Literal["sagnode.reading/1"] = "sagnode.reading/1"
-    utility: str
-    line: str
-    span: str
-    unit: str
-    conductor: str
-    phase: str | None = None
-    sequence: int = Field(ge=1, description="never repeats, also not across restarts; drop what you have seen")
+    schema_version: Literal["sagnode.reading/1"] = Field(default="sagnode.reading/1", description=FORM)
+    utility: str = Field(description="unit.utility of the node file")
+    line: str = Field(description="unit.line of the node file")
+    span: str = Field(description="unit.span of the node file")
+    unit: str = Field(description="unit.unit of the node file")
+    conductor: str = Field(description="id of the conductor in the span file")
+    phase: str | None = Field(default=None, description="of the conductor, where the span file names one")
+    sequence: int = Field(
+        ge=1, description="one count a unit, over all its conductors, never used again; drop what you have seen"
+    )
     acquired_at: AwareDatetime = Field(description="UTC of the first frame used (or of the attempt)")
     published_at: AwareDatetime | None = Field(default=None, description="UTC of this transmission")
     clock_synced: bool = Field(description="whether the system clock was synchronised at acquisition")
-    boot_id: str
+    boot_id: str = Field(description="of the machine at acquisition; monotonic_s can be compared while it is the same")
     monotonic_s: float = Field(description="seconds of the monotonic clock since boot at acquisition")
-    quality: QualityMessage
-    frames_used: int = Field(ge=0)
-    frames_rejected: int = Field(ge=0)
+    quality: QualityMessage = Field(description="whether to believe the numbers, and why not")
+    frames_used: int = Field(ge=0, description="frames of the burst that the numbers come from")
+    frames_rejected: int = Field(ge=0, description="frames of the burst that were not used")
     visible_share: float | None = Field(default=None, ge=0, le=1, description="share of the span that was seen")
     match_score: float | None = Field(default=None, description="robust z-score over shifted curves")
-    pose_residual_px: float | None = Field(default=None, ge=0)
-    landmarks_used: int = Field(default=0, ge=0)
+    pose_residual_px: float | None = Field(
+        default=None,
+        ge=0,
+        description="root mean square, an axis, of how far the landmarks are from where the pose puts them",
+    )
+    landmarks_used: int = Field(default=0, ge=0, description="landmarks that held the camera's place")
     landmarks_by_appearance: int = Field(
         default=0, ge=0, description="of these, found by a kept appearance and not by the reference picture"
     )
@@ -147,10 +161,12 @@ class ReadingHeader(Strict):
         default=None, description="when the oldest of those appearances was cut; null where none was used"
     )
     method: str = Field(description="matcher that made the reading")
-    calibration_id: str
-    configuration_id: str
-    software_version: str
-    backfill: bool = Field(default=False, description="sent late, out of the journal")
+    calibration_id: str = Field(
+        description="hash of lens, camera survey and landmarks; unknown before a camera was ready"
+    )
+    configuration_id: str = Field(description="hash of all that is configured, defaults included")
+    software_version: str = Field(description="of sagnode")
+    backfill: bool = Field(default=False, description="sent late or again, out of the journal, and not retained")
 
 
 def _quantity_fields() -> dict[str, Any]:
@@ -201,21 +217,21 @@ def reading_estimate(reading: ReadingHeader, stem: str) -> Estimate | None:
 class StatusMessage(Strict):
     """Retained on ``status``; ``offline`` is the last will."""
 
-    schema_version: Literal["sagnode.status/1"] = "sagnode.status/1"
-    state: Literal["online", "offline"]
-    since: datetime | None
-    software_version: str
-    boot_id: str
-    configuration_id: str
-    text: str = ""
+    schema_version: Literal["sagnode.status/1"] = Field(default="sagnode.status/1", description=FORM)
+    state: Literal["online", "offline"] = Field(description="whether the node is connected to the broker")
+    since: datetime | None = Field(description="when it connected or left; null in the last will, which knows no time")
+    software_version: str = Field(description="of sagnode")
+    boot_id: str = Field(description="of the machine")
+    configuration_id: str = Field(description="hash of all that is configured, as in readings")
+    text: str = Field(default="", description="why it is offline")
 
 
 class LensMessage(Strict):
     """What is between the camera and the scene, told by comparison with the reference picture."""
 
-    look: LensLook
+    look: LensLook = Field(description="what the lens looks like")
     share: float = Field(ge=0, le=1, description="of the view's detail that is affected, of the picture for dirt")
-    text: str
+    text: str = Field(description="one sentence with the numbers")
 
 
 class LandmarksMessage(Strict):
@@ -239,27 +255,29 @@ class LandmarksMessage(Strict):
 class HealthMessage(Strict):
     """Retained on ``health``: the node itself."""
 
-    schema_version: Literal["sagnode.health/1"] = "sagnode.health/1"
-    at: AwareDatetime
-    uptime_s: float
-    cpu_temperature_c: float | None
-    throttled: bool | None
-    memory_available_mb: float | None
-    disk_free_mb: float | None
+    schema_version: Literal["sagnode.health/1"] = Field(default="sagnode.health/1", description=FORM)
+    at: AwareDatetime = Field(description="when this was written")
+    uptime_s: float = Field(description="seconds since the daemon started")
+    cpu_temperature_c: float | None = Field(description="of the processor; null where the machine does not tell")
+    throttled: bool | None = Field(description="a Raspberry Pi is short of voltage or too hot now; null: not told")
+    memory_available_mb: float | None = Field(description="what programs may still take without swapping")
+    disk_free_mb: float | None = Field(description="free on the file system of the journal")
     camera: str = Field(description="back end and state: ok, or the last fault")
-    worker_restarts: int
-    readings_made: int
-    readings_invalid: int
-    last_good_at: AwareDatetime | None
-    outbox_depth: int
-    outbox_oldest_s: float | None
-    broker: str
+    worker_restarts: int = Field(description="workers replaced after a failure, since the daemon started")
+    readings_made: int = Field(description="since the daemon started")
+    readings_invalid: int = Field(description="of these, without a number")
+    last_good_at: AwareDatetime | None = Field(
+        description="acquisition of the last good reading since the daemon started; null: none"
+    )
+    outbox_depth: int = Field(description="readings that the broker has not acknowledged yet")
+    outbox_oldest_s: float | None = Field(description="age of the oldest of them; null where none waits")
+    broker: str = Field(description="connected to which broker, or what went wrong last")
     certificate_ends_at: AwareDatetime | None = Field(
         default=None, description="end of the client certificate at the broker; null without one"
     )
-    clock_synced: bool
-    journal: str
-    configuration: str = "ok"
+    clock_synced: bool = Field(description="whether the system clock is synchronised")
+    journal: str = Field(description="ok, or what is wrong with the disk and how many bursts wait in memory")
+    configuration: str = Field(default="ok", description="ok, or why the last reload was refused")
     recovery: str = Field(default="ok", description="what was started anew because no reading came, or ok")
     lens: LensMessage | None = Field(default=None, description="as the newest frame shows it; null without a reading")
     landmarks: LandmarksMessage | None = Field(

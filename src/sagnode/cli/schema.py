@@ -45,7 +45,7 @@ def schemas() -> dict[str, dict[str, Any]]:
     from pydantic.json_schema import GenerateJsonSchema
 
     from sagnode import __version__
-    from sagnode.asyncapi import asyncapi_document
+    from sagnode.asyncapi import asyncapi_document, plain
     from sagnode.config.node import Node
     from sagnode.config.span import Span
     from sagnode.exchange import COMMAND, AlarmMessage, ReplyMessage
@@ -57,7 +57,7 @@ def schemas() -> dict[str, dict[str, Any]]:
     found = {name: model.model_json_schema(mode="serialization") for name, model in sent.items()}
     found |= {name: adapter.json_schema(mode="validation") for name, adapter in read.items()}
     dialect = {"$schema": GenerateJsonSchema.schema_dialect}
-    documents = {name: dialect | schema for name, schema in found.items()}
+    documents = {name: dialect | plain(schema) for name, schema in found.items()}
     documents["asyncapi"] = asyncapi_document(__version__)
     return {name: documents[name] for name in NAMES}
 
