@@ -62,6 +62,16 @@ def test_a_newest_reading_that_nobody_renews_vanishes_from_the_broker(tmp_path, 
         wait_for(lambda: retained(broker) == [2, 3])
 
 
+def test_under_mqtt_3_1_1_it_stays(tmp_path, node):
+    with Mosquitto(tmp_path) as broker:
+        n = node(port=broker.port, expiry_s=45 * 60 + 1, mqtt5=False)  # the oldest is 45 minutes old when it is sent
+        n.make(1)
+        wait_for(lambda: n.journal.backlog().depth == 0)
+        time.sleep(2.0)
+        with Subscriber(broker.port) as late:
+            late.wait_for(lambda s: len(s.readings()) == 3)
+
+
 def test_clean_stop_says_offline_and_a_lost_node_is_told_by_its_will(tmp_path, node):
     with Mosquitto(tmp_path) as broker, Subscriber(broker.port) as subscriber:
         n = node(port=broker.port)
@@ -74,6 +84,8 @@ def test_clean_stop_says_offline_and_a_lost_node_is_told_by_its_will(tmp_path, n
             late.wait_for(lambda s: s.messages)
             assert late.messages[0].retain
             assert late.messages[0].payload == OFFLINE
+        with Subscriber(broker.port) as late:  # its last readings stay
+            late.wait_for(lambda s: sorted(sequences(s)) == [1, 2, 3])
 
 
 def test_broker_killed_and_restarted_again_and_again_nothing_is_lost(tmp_path, node):
