@@ -6,7 +6,7 @@ from datetime import UTC, datetime, timedelta
 import pytest
 from readings import reading
 
-from sagnode.demo.results import Truth, best_frame, delivery, join, read_truth, score, summary
+from sagnode.demo.results import Truth, best_frame, delivery, join, read_truth, readings_summary, score, summary
 from sagnode.message import QualityMessage
 from sagnode.quality import Cause, Reason, Validity
 
@@ -55,6 +55,14 @@ def test_summary_says_it_all():
     assert "dark (1)" in text
     assert "RMSE 0.0 cm" in text
     assert "2 in the journal, 0 lost, 0 repeated" in text
+
+
+def test_readings_that_are_invalid_for_two_reasons_are_counted_under_both_and_said():
+    both = (Reason(Cause.LANDMARKS_LOST, "0 of 10"), Reason(Cause.DARK, "night"))
+    twice = at(3, 2, quality=QualityMessage.of(Validity.INVALID, both), **NONE)
+    lines = readings_summary(join([invalid(1, 0), invalid(2, 1), twice], {}))
+    assert lines[1] == "invalid because of dark (3), landmarks-lost (1); 1 of them for more than one of these"
+    assert readings_summary(join([invalid(1, 0)], {}))[1] == "invalid because of dark (1)"
 
 
 def test_the_frame_to_show_has_most_good_readings():

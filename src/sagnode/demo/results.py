@@ -124,14 +124,15 @@ def readings_summary(points: Sequence[Point]) -> list[str]:
     by_validity = Counter(point.validity for point in points)
     counts = ", ".join(f"{by_validity[validity]} {validity}" for validity in Validity)
     lines = [f"{len(points)} readings of {len({p.time for p in points})} frames: {counts}"]
-    causes = Counter(
-        reason.cause
-        for point in points
-        if point.validity is Validity.INVALID
-        for reason in point.reading.quality.reasons
-    )
+    refused = [point.reading.quality.reasons for point in points if point.validity is Validity.INVALID]
+    causes = Counter(cause for reasons in refused for cause in {reason.cause: None for reason in reasons})
     if causes:
-        lines.append("invalid because of " + ", ".join(f"{cause} ({count})" for cause, count in causes.most_common()))
+        several = sum(len({reason.cause for reason in reasons}) > 1 for reasons in refused)
+        lines.append(
+            "invalid because of "
+            + ", ".join(f"{cause} ({count})" for cause, count in causes.most_common())
+            + (f"; {several} of them for more than one of these" if several else "")
+        )
     for stem in ("sag", "clearance"):
         for name, chosen in (("good", [p for p in points if p.validity is Validity.GOOD]), ("all valid", points)):
             result = score(chosen, stem)
