@@ -13,7 +13,7 @@ from sagnode.errors import ConfigError
 if TYPE_CHECKING:
     import numpy as np
 
-    from sagnode.match.fit import FitResult
+    from sagnode.fit.between import FitResult
 
 DESCRIPTION = """Fit one curve to a conductor between two points of a photograph, given in pixels (u to the right,
 v down, 0,0 the centre of the upper left pixel). Nothing need be known about camera or span; the result is in pixels.
@@ -61,7 +61,7 @@ def run(args: argparse.Namespace) -> int:
     """Fit, print, draw."""
     from sagnode.capture.images import read_grey, write_png
     from sagnode.errors import FrameError
-    from sagnode.match.fit import draw_fit, fit_between
+    from sagnode.fit.between import draw_fit, fit_between
 
     try:
         image = read_grey(args.image)

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from sagnode.fit.curve import Curve
+from sagnode.fit.follow import KERNELS, Look, best_bow, look, polarities
 from sagnode.geometry.camera import FloatArray
-from sagnode.match.fit_curve import Curve
-from sagnode.match.fit_follow import KERNELS, Look, best_bow, look, polarities
 
 SHIFTS_PX = np.arange(9.0, 42.0, 3.0)
 """Distances at which the curve is laid beside itself, either side."""

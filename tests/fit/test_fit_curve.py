@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sagnode.match.fit_curve import Curve, Prior, adjust, shares
+from sagnode.fit.curve import Curve, Prior, adjust, shares
 
 FLAT = Curve(np.array([[0.0, 0.0], [400.0, 160.0], [800.0, 20.0]]), 1.2)
 

@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sagnode.capture.port import GreyImage
+from sagnode.fit.curve import Curve, Prior, adjust
 from sagnode.geometry.camera import FloatArray
 from sagnode.match.across import correlation
-from sagnode.match.fit_curve import Curve, Prior, adjust
 from sagnode.match.kernels import STEP_PX, kernel_reach, unit_kernels
 from sagnode.match.localise import block_starts
 from sagnode.match.ribbon import arc_length, normals

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from sagnode.match.fit import FitResult, draw_fit, fit_between
-from sagnode.match.fit_curve import Curve
-from sagnode.match.fit_follow import KERNELS
-from sagnode.match.fit_judge import judge
+from sagnode.fit.between import FitResult, draw_fit, fit_between
+from sagnode.fit.curve import Curve
+from sagnode.fit.follow import KERNELS
+from sagnode.fit.judge import judge
 from sagnode.quality import Cause
 
 Floats = NDArray[np.float64]

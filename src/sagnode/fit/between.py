@@ -1,8 +1,8 @@
 """One conductor between two points of any photograph: nothing is known of camera, span or survey.
 
-The way of a fit: arcs between the two points are scored on a map of oriented lines (``fit_search``), the best are
-followed from coarse to fine (``fit_follow``), judged against their own neighbourhood (``fit_judge``), and refined to
-sub-pixel (``fit_refine``). The best of them is the answer if it can be seen along enough of its length; what does not
+The way of a fit: arcs between the two points are scored on a map of oriented lines (``search``), the best are
+followed from coarse to fine (``follow``), judged against their own neighbourhood (``judge``), and refined to
+sub-pixel (``refine``). The best of them is the answer if it can be seen along enough of its length; what does not
 stand out, is hidden for the most part, or has an equal elsewhere is refused with its reason.
 """
 
@@ -16,12 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sagnode.capture.port import GreyImage
+from sagnode.fit.curve import Curve, apart
+from sagnode.fit.follow import LEVEL_PX, Picture, follow, pyramid
+from sagnode.fit.judge import Verdict, judge
+from sagnode.fit.refine import Refined, refine, seen_share
+from sagnode.fit.search import search
 from sagnode.geometry.camera import FloatArray
-from sagnode.match.fit_curve import Curve, apart
-from sagnode.match.fit_follow import LEVEL_PX, Picture, follow, pyramid
-from sagnode.match.fit_judge import Verdict, judge
-from sagnode.match.fit_refine import Refined, refine, seen_share
-from sagnode.match.fit_search import search
 from sagnode.quality import Cause, Reason
 
 SLACK_PX = 2.0

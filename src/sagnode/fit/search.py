@@ -1,7 +1,8 @@
 """Which arcs between two points look like a wire at all: thousands of Béziers scored on a map of oriented lines.
 
-Each Bézier adds up what the map (``fit_map``) says at its points for the direction that it has there: first a wide grid
-of bows, skews and weights on a map that tolerates half a step of the grid, then a fine one around the best of them.
+Each Bézier adds up what the map (``line_map``) says at its points for the direction that it has there: first a wide
+grid of bows, skews and weights on a map that tolerates half a step of the grid, then a fine one around the best of
+them.
 """
 
 from __future__ import annotations
@@ -13,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sagnode.capture.port import GreyImage
+from sagnode.fit.curve import GREATEST_WEIGHT, LEAST_WEIGHT, Curve, apart, shares
+from sagnode.fit.map import BOW, FAN_DEG, Level, level, line_map
 from sagnode.geometry.camera import FloatArray
-from sagnode.match.fit_curve import GREATEST_WEIGHT, LEAST_WEIGHT, Curve, apart, shares
-from sagnode.match.fit_map import BOW, FAN_DEG, Level, level, line_map
 
 STEP = 4.0
 """Distance of neighbouring arcs of the wide grid, cells."""

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from sagnode.fit.curve import Curve, Prior, adjust
+from sagnode.fit.follow import KERNELS, MOST, Picture, best_path, block_length, end_costs, look, polarities
 from sagnode.geometry.camera import FloatArray
-from sagnode.match.fit_curve import Curve, Prior, adjust
-from sagnode.match.fit_follow import KERNELS, MOST, Picture, best_path, block_length, end_costs, look, polarities
 from sagnode.match.localise import Blocks, localise
 from sagnode.match.ribbon import normals
 
@@ -73,7 +73,7 @@ def refine(
     Args:
         picture: grey, single precision.
         curve: within a pixel or two of the wire.
-        kernels: numbers of the kernels (see ``fit_follow.KERNELS``) that fit its start and its end.
+        kernels: numbers of the kernels (see ``sagnode.fit.follow.KERNELS``) that fit its start and its end.
         anchors: the points given (2, 2), px of the picture.
         slack: their standard uncertainty, px.
     """
