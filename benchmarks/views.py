@@ -8,13 +8,13 @@ from pathlib import Path
 
 import numpy as np
 
+from presets import View as Preset
+from presets import preset, preset_world
 from sagnode.calibrate.files import load_intrinsics, save_intrinsics
 from sagnode.config.base import Point
 from sagnode.config.load import load_span
 from sagnode.config.span import CameraSurvey, Landmark, Span
 from sagnode.geometry.camera import Intrinsics
-from sagnode.scene.presets import View as Preset
-from sagnode.scene.presets import preset, preset_world
 from sagnode.scene.site import LANDMARK_KINDS, site_directory
 from sagnode.scene.spec import World
 

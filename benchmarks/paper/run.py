@@ -23,8 +23,8 @@ from paper.modes import Prepared, compare_modes, free_sweep
 from paper.report import VIEW_NAMES, Measured, write
 from paper.scenes import FIELD_WIDTH_PX, LAB_VIEWS, field_trials, lab_trials
 from paper.timing import timing
+from presets import LAB_CAMERA, preset
 from sagnode.geometry.camera import Intrinsics
-from sagnode.scene.presets import LAB_CAMERA, preset
 
 ROOT = Path(__file__).resolve().parents[2]
 TEMPLATES = 300

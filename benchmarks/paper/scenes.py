@@ -14,12 +14,12 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from presets import View, preset, preset_scene, preset_world, typical_states
 from sagnode.calibrate.files import save_intrinsics
 from sagnode.capture.port import GreyImage
 from sagnode.config.span import Span
 from sagnode.geometry.camera import Intrinsics, inside, project
 from sagnode.scene.catenary import WireState
-from sagnode.scene.presets import View, preset, preset_scene, preset_world, typical_states
 from sagnode.scene.render import render
 from sagnode.scene.spec import Moment, Scene
 from sagnode.scene.truth import true_quantities

@@ -13,6 +13,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from presets import preset, preset_scene, typical_states
 from sagnode.calibrate.files import save_intrinsics
 from sagnode.capture.images import read_grey
 from sagnode.capture.port import GreyImage
@@ -21,7 +22,6 @@ from sagnode.config.span import Span
 from sagnode.geometry.camera import Intrinsics, inside
 from sagnode.pipeline import load_site
 from sagnode.scene.catenary import WireState
-from sagnode.scene.presets import preset, preset_scene, typical_states
 from sagnode.scene.render import render
 from sagnode.scene.site import site_directory
 from sagnode.scene.spec import Moment, Scene, World

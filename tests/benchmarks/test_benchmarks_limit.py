@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 import limit
+from presets import simple_scene
 from sagnode.calibrate.files import save_intrinsics
 from sagnode.geometry.camera import project
 from sagnode.geometry.ground import GroundProfile
 from sagnode.pipeline import load_site
 from sagnode.scene.canvas import normal_cdf
 from sagnode.scene.catenary import PartialLoad, WireState
-from sagnode.scene.presets import simple_scene
 from sagnode.scene.render import render
 from sagnode.scene.truth import pixel_curve
 from sagnode.scene.wires import Seen

@@ -9,9 +9,9 @@ from typing import Any
 import cv2
 import pytest
 
+from presets import simple_scene
 from sagnode.cli.main import main
 from sagnode.config.show import toml_text
-from sagnode.scene.presets import simple_scene
 
 Capture = pytest.CaptureFixture[str]
 SENSOR = "640x480x3.45"

@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 import pytest
 
+from presets import simple_scene
 from sagnode.calibrate.files import save_intrinsics
 from sagnode.capture.port import GreyImage
 from sagnode.estimate.register import register
@@ -18,7 +19,6 @@ from sagnode.geometry.camera import FloatArray, project
 from sagnode.match.appearances import KEPT_MAX, Appearance, Appearances, none_kept
 from sagnode.pipeline import load_site, measure_burst
 from sagnode.quality import Cause
-from sagnode.scene.presets import simple_scene
 from sagnode.scene.render import render
 from sagnode.scene.spec import Moment, Scene
 from sagnode.site import Site

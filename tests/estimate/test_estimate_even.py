@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from demo_wire import SAG_M, along_the_line, demo_picture
 
+from presets import simple_scene
 from sagnode.calibrate.files import save_intrinsics
 from sagnode.capture.port import GreyImage
 from sagnode.config.node import Measure
@@ -22,7 +23,6 @@ from sagnode.estimate.register import Registered, register
 from sagnode.geometry.camera import FloatArray, project
 from sagnode.match.search import Candidate
 from sagnode.pipeline import load_site
-from sagnode.scene.presets import simple_scene
 from sagnode.scene.render import render
 from sagnode.site import SiteConductor
 from sagnode.survey import ATTACHMENTS, SAG, SWING

@@ -8,6 +8,7 @@ import pytest
 from demo_wire import of_blocks_alone
 from numpy.typing import NDArray
 
+from presets import simple_scene
 from sagnode.calibrate.files import save_intrinsics
 from sagnode.config.node import Measure
 from sagnode.estimate.even import find_even
@@ -19,7 +20,6 @@ from sagnode.geometry.camera import Intrinsics
 from sagnode.pipeline import load_site, measure_frame
 from sagnode.quality import Cause, Validity
 from sagnode.scene.catenary import WireState
-from sagnode.scene.presets import simple_scene
 from sagnode.scene.render import render
 from sagnode.scene.spec import Moment, Scene
 from sagnode.site import Site

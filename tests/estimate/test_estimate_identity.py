@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 
+from presets import simple_scene
 from sagnode.estimate import identity
 from sagnode.estimate.even import find_even
 from sagnode.estimate.identity import tell_apart
@@ -12,7 +13,6 @@ from sagnode.estimate.matched import Matched
 from sagnode.estimate.refinement import survey_of
 from sagnode.estimate.register import Registered
 from sagnode.pipeline import measure_frame
-from sagnode.scene.presets import simple_scene
 from sagnode.scene.render import Rendered, render
 from sagnode.site import Site
 from sites import registered_site

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from presets import simple_scene
 from sagnode.calibrate.files import save_intrinsics
 from sagnode.config.node import Measure
 from sagnode.estimate.even import find_even
@@ -16,7 +17,6 @@ from sagnode.estimate.register import Registered, register
 from sagnode.geometry.camera import Intrinsics
 from sagnode.pipeline import load_site, measure_frame
 from sagnode.scene.catenary import WireState
-from sagnode.scene.presets import simple_scene
 from sagnode.scene.render import render
 from sagnode.scene.spec import Moment, Scene
 from sagnode.site import Site

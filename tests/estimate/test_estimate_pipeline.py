@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
+from presets import simple_scene
 from sagnode.calibrate.files import save_intrinsics
 from sagnode.config.node import Measure
 from sagnode.config.span import Stringing
@@ -18,7 +19,6 @@ from sagnode.match.library import Shelf
 from sagnode.measurement import ConductorMeasurement
 from sagnode.pipeline import load_site, measure_burst, measure_frame
 from sagnode.quality import Cause, Validity
-from sagnode.scene.presets import simple_scene
 from sagnode.scene.render import Rendered, render
 from sagnode.scene.spec import Moment, Scene
 from sagnode.site import Site

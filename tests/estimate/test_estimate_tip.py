@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 import pytest
 
+from presets import simple_scene
 from sagnode.calibrate.files import save_intrinsics
 from sagnode.capture.port import GreyImage
 from sagnode.config.node import Measure
@@ -21,7 +22,6 @@ from sagnode.estimate.register import register
 from sagnode.match.masks import Neighbour
 from sagnode.match.refine import Observed
 from sagnode.pipeline import load_site
-from sagnode.scene.presets import simple_scene
 from sagnode.scene.render import render
 from sagnode.site import Site
 

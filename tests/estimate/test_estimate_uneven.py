@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from solving import question
 
+from presets import preset_scene, typical_states
 from sagnode.calibrate.files import save_intrinsics
 from sagnode.capture.images import read_grey
 from sagnode.config.load import load_span
@@ -22,7 +23,6 @@ from sagnode.measurement import ConductorMeasurement
 from sagnode.pipeline import load_site, measure_burst
 from sagnode.quality import Cause, Validity
 from sagnode.scene.catenary import Load, PartialLoad, PointLoad, WireState
-from sagnode.scene.presets import preset_scene, typical_states
 from sagnode.scene.render import render
 from sagnode.scene.site import demo_site, site_directory
 from sagnode.scene.spec import Moment

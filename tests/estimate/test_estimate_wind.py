@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
+from presets import simple_scene
 from sagnode.estimate.even import find_even
 from sagnode.estimate.load_kinds import LOAD_U
 from sagnode.estimate.matched import Matched, looked_at
@@ -15,7 +16,6 @@ from sagnode.estimate.refinement import survey_of
 from sagnode.estimate.register import Registered
 from sagnode.estimate.wind import in_one_wind, sought_again, unlike_others
 from sagnode.scene.catenary import WireState
-from sagnode.scene.presets import simple_scene
 from sagnode.scene.render import Rendered, render
 from sagnode.scene.truth import pixel_curve
 from sagnode.site import Site

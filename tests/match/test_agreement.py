@@ -6,11 +6,11 @@ import cv2
 import numpy as np
 import pytest
 
+from presets import simple_scene
 from sagnode.geometry.camera import Intrinsics, project
 from sagnode.match.agreement import chance_places, expected_by_chance, is_chance
 from sagnode.match.landmarks import consensus, track
 from sagnode.match.patches import Patch, cut_patch, peaks
-from sagnode.scene.presets import simple_scene
 from sagnode.scene.render import render
 
 REACH = 68.0

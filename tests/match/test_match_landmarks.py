@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from presets import simple_scene
 from sagnode.geometry.camera import Intrinsics, project
 from sagnode.match.landmarks import consensus, track
 from sagnode.match.patches import Patch, cut_patch
-from sagnode.scene.presets import simple_scene
 from sagnode.scene.render import render
 from sagnode.scene.spec import Moment, Scene
 

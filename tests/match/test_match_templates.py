@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
+from presets import simple_scene
 from sagnode.geometry.camera import Intrinsics, Pose, project, rotation_from_angles
 from sagnode.geometry.conductor import control_points
 from sagnode.match.library import draw_library
 from sagnode.match.search import search
 from sagnode.match.templates import View, even_parameters
-from sagnode.scene.presets import simple_scene
 from sagnode.scene.render import render
 
 LENS = Intrinsics(1456, 1088, 1739.0, 1739.0, 727.5, 543.5)

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+from presets import simple_scene
 from sagnode.config.span import Span
 from sagnode.geometry.camera import Intrinsics
 from sagnode.plan.camera import PlannedCamera
-from sagnode.scene.presets import simple_scene
 
 
 def simple_span() -> tuple[Span, PlannedCamera]:

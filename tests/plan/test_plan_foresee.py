@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from plan_spans import camera_of, simple_span
 
+from presets import simple_scene
 from sagnode.calibrate.files import save_intrinsics
 from sagnode.measurement import ConductorMeasurement
 from sagnode.pipeline import load_site, measure_burst
@@ -16,7 +17,6 @@ from sagnode.plan.foresee import LEVELS, Foreseen, foresee, states_at, worst
 from sagnode.plan.frame import Look
 from sagnode.plan.improve import gains
 from sagnode.quality import Cause, Validity
-from sagnode.scene.presets import simple_scene
 from sagnode.scene.render import render
 from sagnode.scene.truth import true_quantities
 

@@ -8,12 +8,12 @@ from datetime import UTC, datetime, timedelta
 import numpy as np
 import pytest
 
+from presets import preset
 from sagnode.errors import ConfigError
 from sagnode.geometry.camera import Intrinsics
 from sagnode.scene.day import DayPlan, Spell, day_of_moments, sag_at_temperature, sun_position
 from sagnode.scene.noise import generator
 from sagnode.scene.perturb import perturbed, perturbed_intrinsics
-from sagnode.scene.presets import preset
 from sagnode.scene.site import demo_site
 
 

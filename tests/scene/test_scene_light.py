@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from presets import preset_scene, typical_states
 from sagnode.geometry.camera import project
 from sagnode.scene.light import AMBIENT, SNOW_GREY, Light
-from sagnode.scene.presets import preset_scene, typical_states
 from sagnode.scene.render import render
 from sagnode.scene.spec import Moment, Scene
 

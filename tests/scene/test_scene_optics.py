@@ -7,8 +7,8 @@ import math
 import numpy as np
 import pytest
 
+from presets import preset_scene
 from sagnode.scene.optics import develop, exposure_and_gain, illumination, sunlight
-from sagnode.scene.presets import preset_scene
 from sagnode.scene.spec import Moment
 
 

@@ -11,10 +11,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from presets import VIEWS, preset_scene, simple_scene, typical_states
 from sagnode.config.span import Conductor
 from sagnode.geometry.camera import project
 from sagnode.scene.catenary import PartialLoad, PointLoad, WireState, wire_points
-from sagnode.scene.presets import VIEWS, preset_scene, simple_scene, typical_states
 from sagnode.scene.render import render
 from sagnode.scene.spec import Moment, OtherWire, Scene, SpanFrame, Tree, World
 from sagnode.scene.truth import pixel_curve

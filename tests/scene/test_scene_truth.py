@@ -9,13 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from presets import preset, simple_scene, typical_states
 from sagnode.config.span import Conductor, Ground, Obstacle, Span
 from sagnode.errors import FrameError
 from sagnode.geometry.ground import GroundProfile
 from sagnode.geometry.quantities import Shape, quantities
 from sagnode.message import QUANTITIES
 from sagnode.scene.catenary import PartialLoad, WireState
-from sagnode.scene.presets import preset, simple_scene, typical_states
 from sagnode.scene.render import render
 from sagnode.scene.truth import pixel_curve, read_truth, true_quantities
 from sagnode.scene.writer import write_frame

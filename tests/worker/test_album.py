@@ -12,12 +12,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from nodes import SITE, write_node
 
+from presets import simple_scene
 from sagnode.calibrate.files import save_intrinsics
 from sagnode.config.load import load_span
 from sagnode.geometry.camera import project
 from sagnode.match.appearances import Appearance, Appearances, none_kept
 from sagnode.pipeline import load_site
-from sagnode.scene.presets import simple_scene
 from sagnode.scene.render import render
 from sagnode.site import Site
 from sagnode.worker import album as module

@@ -1,4 +1,4 @@
-"""Ready scenes: small ones for tests, and the views that the benchmarks are grouped by."""
+"""Ready scenes: small ones for tests, and the views that tests and benchmarks are grouped by."""
 
 from __future__ import annotations
 
