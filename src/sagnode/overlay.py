@@ -44,16 +44,23 @@ def _colours(count: int) -> list[tuple[int, int, int]]:
     return [_CURVES[i % len(_CURVES)] for i in range(count)]
 
 
+def draw_runs(
+    canvas: ColourImage, pixels: FloatArray, shown: NDArray[np.bool_], colour: tuple[int, int, int], thickness: int = 1
+) -> None:
+    """Draw an anti-aliased line through pixels (N, 2), broken where ``shown`` (N,) is false; they may be NaN there."""
+    for run in np.split(np.arange(len(pixels)), np.flatnonzero(np.diff(shown.astype(int))) + 1):
+        if len(run) > 1 and shown[run[0]]:
+            points = np.round(pixels[run] * (1 << _SHIFT)).astype(np.int32)
+            cv2.polylines(canvas, [points], False, colour, thickness, cv2.LINE_AA, _SHIFT)
+
+
 def _polyline(canvas: ColourImage, pixels: FloatArray, colour: tuple[int, int, int], thickness: int = 1) -> None:
     """Anti-aliased polyline through pixels (N, 2); gaps where they are NaN or far outside."""
     height, width = canvas.shape[:2]
     near = np.isfinite(pixels).all(axis=1) & (np.abs(pixels - (width / 2, height / 2)) < 4 * (width + height)).all(
         axis=1
     )
-    for run in np.split(np.arange(len(pixels)), np.flatnonzero(np.diff(near.astype(int))) + 1):
-        if len(run) > 1 and near[run[0]]:
-            points = np.round(pixels[run] * (1 << _SHIFT)).astype(np.int32)
-            cv2.polylines(canvas, [points], False, colour, thickness, cv2.LINE_AA, _SHIFT)
+    draw_runs(canvas, pixels, near, colour, thickness)
 
 
 def _at(pixel: FloatArray) -> tuple[int, int] | None:

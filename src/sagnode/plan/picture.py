@@ -6,22 +6,19 @@ import itertools
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from sagnode.config.span import Span
 from sagnode.geometry.camera import FloatArray, Intrinsics, Pose, inside, project
 from sagnode.geometry.conductor import conductor_points
+from sagnode.overlay import ColourImage, draw_runs
 from sagnode.plan.foresee import LEVELS, states_at
 from sagnode.plan.report import VERDICTS, camera_text, millimetres
 from sagnode.plan.study import Study
 from sagnode.scene.spec import SpanFrame
 
-ColourImage = NDArray[np.uint8]
-
 _MARGIN = 0.16
 """What is shown beyond the frame on either side, as a share of it: attachments often lie just outside."""
 _WIDEST_PX = 1500
-_SHIFT = 4
 _OUTSIDE, _SKY, _FRAME = (196, 192, 188), (232, 222, 212), (60, 60, 60)
 _GROUND, _OBSTACLE, _MARK, _UNSEEN = (70, 120, 90), (40, 90, 200), (170, 90, 0), (150, 150, 150)
 _WIRES = ((60, 130, 20), (20, 110, 200), (190, 80, 30), (150, 40, 150), (130, 120, 0), (40, 40, 180))
@@ -105,10 +102,7 @@ class _Sheet:
         """A line through site points (N, 3), broken where they are behind the camera or far outside."""
         pixels, _ = project(self._intrinsics, self._pose, points)
         near = inside(self._intrinsics, pixels, -2.0 * self._intrinsics.width)
-        for run in np.split(np.arange(len(pixels)), np.flatnonzero(np.diff(near.astype(int))) + 1):
-            if len(run) > 1 and near[run[0]]:
-                drawn = np.round((pixels[run] * self._scale + self._origin) * (1 << _SHIFT)).astype(np.int32)
-                cv2.polylines(self.canvas, [drawn], False, colour, thickness, cv2.LINE_AA, _SHIFT)
+        draw_runs(self.canvas, pixels * self._scale + self._origin, near, colour, thickness)
 
     def mark(self, place: FloatArray, name: str, colour: tuple[int, int, int], *, ring: bool) -> None:
         """A ring or a cross at a site point (3,), with its name."""
