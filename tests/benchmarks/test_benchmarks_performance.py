@@ -298,6 +298,38 @@ def test_ratios_scale_the_templates_that_were_run_and_nothing_else():
         cases.one("own", view="field")
 
 
+def growing(frame_sizes: list[dict]) -> list[dict]:
+    """Cases of which only the frame sizes matter."""
+    found = [{"case": "frame size", "height": r["width"] // 2, **r} for r in frame_sizes]
+    for view in tables.NAMES:
+        found += [
+            {"case": "own", "view": view, "templates": n, "min": 0.01, "spent": {"search": 1e-6 * n}}
+            for n in (300, 900)
+        ]
+        found += [{"case": "burst", "view": view, "frames": n, "min": 0.05 * n} for n in (1, 8)]
+    return found + [{"case": "conductors", "conductors": n, "min": 0.02 * n} for n in (1, 2, 3)]
+
+
+def test_a_small_frame_that_costs_more_is_said_with_its_reason():
+    small, large = (
+        {"width": 700, "min": 0.45, "calls": {"solve": 66}},
+        {"width": 1400, "min": 0.06, "calls": {"solve": 21}},
+    )
+    text = tables.growth_section(tables.Cases(growing([small, large])))
+    assert "| frame size, the same view | 700x350 / 1400x700 | 450 / 60 | 66 / 21 joint estimates |" in text
+    said = " ".join(text.split())
+    assert "the frame of 700x350 takes 7.5 times as long as that of 1400x700, because 66 joint estimates" in said
+    assert "instead of 21." in said
+    assert "pixels |" not in text
+
+
+def test_a_frame_that_costs_more_for_no_more_estimates_has_no_such_reason():
+    rows = [{"width": 700, "min": 0.05, "calls": {"solve": 21}}, {"width": 1400, "min": 0.06, "calls": {"solve": 21}}]
+    text = tables.growth_section(tables.Cases(growing(rows)))
+    assert "because" not in text
+    assert "What counts is how much a picture leaves open, not its pixels." in " ".join(text.split())
+
+
 def test_a_missed_target_says_where_the_time_is_the_dearest_first():
     spent = {"register": 0.008, "locate": 0.085, "search": 0.05, "refine": 0.02, "solve": 0.01, "tell": 0.007}
     cases = tables.Cases(
