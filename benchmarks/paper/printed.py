@@ -21,8 +21,6 @@ TABLE_6 = {
     "matching": (413.0, 313.0),
 }
 """ms for a template, hyperbolic cosine and Bézier, on a Raspberry Pi 5."""
-TABLE_7 = {"cosh with perspective": (120.0, 200.0), "Bézier": (80.0, 120.0)}
-"""s for a search of 200 to 400 templates."""
 FASTER = 1.5
 """Times that Bézier templates are said to be faster, at least."""
 TABLE_8 = (("right", 5.33, 2.00), ("left", 1.98, 0.20), ("average", 3.65, 1.10))

@@ -89,6 +89,23 @@ def test_check_of_a_usable_configuration(capsys: pytest.CaptureFixture[str]) -> 
     assert len(document["configuration_id"]) == 12
 
 
+def test_without_config_it_is_the_services(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("sagnode.daemon.places.SERVICE_CONFIG", CONFIGS / "lab")
+    assert main(["config", "check", "--json"]) == 0
+    checked = json.loads(capsys.readouterr().out)
+    assert main(["config", "show", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["configuration_id"] == checked["configuration_id"]
+    monkeypatch.setattr("sagnode.daemon.places.SERVICE_CONFIG", tmp_path / "nowhere")
+    for words in (["config", "check"], ["config", "show"], ["capture", "--out", str(tmp_path / "out")]):
+        assert main(words) == 2
+        said = capsys.readouterr().err
+        assert f"{tmp_path}/nowhere: no such file or directory" in said
+        assert "remedy: name the node file with --config" in said
+    assert not (tmp_path / "out").exists()
+
+
 def test_show(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["config", "show", "--config", str(CONFIGS / "field-110kv"), "--changed"]) == 0
     said = capsys.readouterr().out
@@ -106,5 +123,5 @@ def test_faults_on_the_way_of_any_command_are_lines_and_code_2(
         f"sagnode: error: file not found: {tmp_path}/none.toml",
         "remedy: check the path and who may read it; 'sagnode config init' writes files to start from",
     ]
-    assert main(["config", "show"]) == 2
-    assert "--config" in capsys.readouterr().err
+    assert main(["config"]) == 2
+    assert "{init,check,show}" in capsys.readouterr().err

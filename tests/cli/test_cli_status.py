@@ -159,6 +159,10 @@ def test_the_age_of_what_landmarks_are_recognised_by(node, capsys):
     copied = {**landmarks, "reference_taken_from": "modified", "appearances": 0, "oldest_at": None, "newest_at": None}
     assert main(["status", "--state-dir", str(node(health={"landmarks": copied}))]) == 0
     assert "reference picture at least 396 d old; 0 appearances kept" in capsys.readouterr().out
+    for origin in ("modified", "name"):
+        later = {**copied, "reference_taken_at": "2026-11-23T08:00:00+00:00", "reference_taken_from": origin}
+        assert main(["status", "--state-dir", str(node(health={"landmarks": later}))]) == 0
+        assert "reference picture of unknown age; 0 appearances kept" in capsys.readouterr().out
 
 
 def test_a_daemon_that_is_gone(node, capsys):

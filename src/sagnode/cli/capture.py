@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from sagnode.cli.numbers import between, whole
+from sagnode.daemon.places import SERVICE_CONFIG, configuration
 from sagnode.errors import ConfigError, EndOfFrames, FrameError
 
 if TYPE_CHECKING:
@@ -22,9 +23,8 @@ EPILOG = "exit codes: 0 all taken, 1 the camera failed, 2 usage or bad configura
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
-    parser.add_argument(
-        "--config", required=True, type=Path, metavar="PATH", help="node file, or the directory that holds node.toml"
-    )
+    text = f"node file, or the directory that holds node.toml (default: {SERVICE_CONFIG})"
+    parser.add_argument("--config", type=Path, metavar="PATH", help=text)
     parser.add_argument("--out", required=True, type=Path, metavar="DIR", help="where to write; made if missing")
     parser.add_argument("--count", type=whole(1, 100_000), default=1, metavar="N", help="how many pictures (default 1)")
     parser.add_argument(
@@ -38,7 +38,7 @@ def run(args: argparse.Namespace) -> int:
     from sagnode.capture import open_source
     from sagnode.config.load import load_node
 
-    camera = load_node(args.config).node.camera
+    camera = load_node(configuration(args.config)).node.camera
     try:
         args.out.mkdir(parents=True, exist_ok=True)
     except OSError as error:

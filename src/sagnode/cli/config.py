@@ -9,6 +9,7 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
+from sagnode.daemon.places import SERVICE_CONFIG, configuration
 from sagnode.errors import ConfigError, SagnodeError
 
 DESCRIPTION = "Write, check and show the configuration."
@@ -38,17 +39,18 @@ def _action(actions: Any, name: str, text: str) -> argparse.ArgumentParser:
 
 
 def _add_config(parser: argparse.ArgumentParser) -> None:
-    text = "node file, span file, or the directory of node.toml"
-    parser.add_argument("--config", type=Path, required=True, metavar="PATH", help=text)
+    text = f"node file, span file, or the directory of node.toml (default: {SERVICE_CONFIG})"
+    parser.add_argument("--config", type=Path, metavar="PATH", help=text)
 
 
 def run(args: argparse.Namespace) -> int:
     """Run the action."""
     if args.action == "init":
         return _init(args.out, args.force)
+    config = configuration(args.config)
     if args.action == "check":
-        return _check(args.config, args.json)
-    return _show(args.config, args.changed, args.json)
+        return _check(config, args.json)
+    return _show(config, args.changed, args.json)
 
 
 def _init(directory: Path, force: bool) -> int:

@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from sagnode.daemon.places import SERVICE_CONFIG
 from sagnode.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -19,7 +20,6 @@ watchdogs, service, compiled kernels, versions. It changes nothing, publishes no
 the camera and the broker's log-in are then the daemon's, and what it says of them counts."""
 EPILOG = """exit codes: 0 no fault (there may be warnings), 1 a check failed, 2 usage or bad configuration;
 a bundle contains host names, the survey, logs and pictures, but no passwords and no keys: look before you send it"""
-SERVICE_CONFIG = Path("/etc/sagnode")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

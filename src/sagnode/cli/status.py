@@ -156,7 +156,9 @@ def _landmarks(page: dict[str, Any]) -> str:
         return duration(max(0.0, (now - datetime.fromisoformat(landmarks[key])).total_seconds()))
 
     taken = "of unknown age"
-    if landmarks["reference_taken_at"] is not None:
+    since = landmarks["reference_taken_at"]
+    # a picture from the future says nothing, as where frames of the past are replayed
+    if since is not None and datetime.fromisoformat(since) <= now:
         # a copied file is younger than its picture
         least = "at least " if landmarks["reference_taken_from"] == "modified" else ""
         taken = f"{least}{age('reference_taken_at')} old"

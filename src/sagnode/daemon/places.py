@@ -10,9 +10,22 @@ from sagnode.errors import ConfigError
 
 JOURNAL = "journal.sqlite"
 """In the state directory."""
+SERVICE_CONFIG = Path("/etc/sagnode")
+"""Where the installed service has its configuration."""
 SERVICE_STATE = Path("/var/lib/sagnode")
 """Where the installed service keeps its state; looked at when the user has none of his own."""
 SERVICE_RUNTIME = Path("/run/sagnode")
+
+
+def configuration(named: Path | None) -> Path:
+    """What ``--config`` names, else the installed service's.
+
+    Raises:
+        ConfigError: nothing is named, and no service is installed.
+    """
+    if named is None and not SERVICE_CONFIG.exists():
+        raise ConfigError(f"{SERVICE_CONFIG}: no such file or directory", "name the node file with --config")
+    return named or SERVICE_CONFIG
 
 
 def state_directory(configured: Path | None) -> Path:
