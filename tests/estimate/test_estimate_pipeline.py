@@ -168,6 +168,22 @@ def test_a_knocked_camera_is_refused(scene_and_moment: tuple[Scene, Moment], sit
     assert causes & {Cause.CAMERA_MOVED, Cause.LANDMARKS_LOST}
 
 
+def test_landmarks_that_moved_apart_are_told_from_landmarks_not_seen(
+    scene_and_moment: tuple[Scene, Moment], site: Site
+) -> None:
+    image = render(*scene_and_moment).image
+    moved, half = image.copy(), 24
+    for number, (u, v) in enumerate(np.rint(site.landmark_clicks).astype(int)):
+        du, dv = ((0, 3), (0, -3), (3, 0), (-3, 0), (3, 3), (-3, -3))[number % 6]
+        there = image[v + dv - half : v + dv + half, u + du - half : u + du + half]
+        moved[v - half : v + half, u - half : u + half] = there
+    mirrored = np.ascontiguousarray(image[:, ::-1])
+    for picture, said in ((moved, "look like themselves"), (mirrored, "landmarks recognised")):
+        measurements = measure_burst(site, [picture])
+        assert invalid_for(measurements, Cause.LANDMARKS_LOST)
+        assert all(said in m.reasons[0].text for m in measurements)
+
+
 def test_a_missing_reference_picture_is_a_fault_of_the_configuration(
     scene_and_moment: tuple[Scene, Moment], tmp_path: Path
 ) -> None:

@@ -71,10 +71,10 @@ def register(site: Site, image: GreyImage, kept: Appearances = ()) -> tuple[Regi
         )
         solution = solve_camera(survey, seen)
         return Registered(solution.theta, solution.knowledge, seen, None, _landmark_rms(solution), None), []
-    tracked = track(image, list(site.patches), site.max_movement_px + 8, site.intrinsics)
-    possible = int(tracked.visible.sum())
+    alike = track(image, list(site.patches), site.max_movement_px + 8, site.intrinsics)
+    possible = int(alike.visible.sum())
     needed = min(max(MIN_LANDMARKS, math.ceil(MIN_SHARE * possible)), max(1, possible))
-    tracked = _moved_alike(site, tracked, needed)
+    tracked = _moved_alike(site, alike, needed)
     if kept:
         tracked = recognise(site, image, tracked, kept, needed)
     if tracked.count < needed:
@@ -82,6 +82,11 @@ def register(site: Site, image: GreyImage, kept: Appearances = ()) -> tuple[Regi
             f"{tracked.count} of {possible} landmarks recognised (needs {needed}): fog, night, a covered lens"
             " or a camera that looks elsewhere"
         )
+        if alike.count >= needed:
+            text = (
+                f"{alike.count} of {possible} landmarks look like themselves, but no turn of the camera puts {needed}"
+                " of them there: it looks elsewhere, was taken to another place, or the landmarks themselves have moved"
+            )
         return Registered(start, NOTHING_KNOWN, None, tracked, None, None), [Reason(Cause.LANDMARKS_LOST, text)]
     keep = tracked.found
     shift = np.median(tracked.pixels[keep] - site.landmark_clicks[keep], axis=0)
