@@ -44,6 +44,11 @@ def normal_cdf(x: Floats) -> Float32:
     return np.asarray(low + (table[index + 1] - low) * (position - index), dtype=np.float32)
 
 
+def normal_pdf(x: Floats) -> Float32:
+    """φ(x), any shape."""
+    return np.asarray(np.exp(-0.5 * np.asarray(x, dtype=np.float32) ** 2) / np.float32(np.sqrt(2 * np.pi)))
+
+
 @dataclass(frozen=True)
 class Rays:
     """Direction of every raw pixel in the camera frame, (H, W, 3) float32 with z = 1, and its pixel coordinates."""

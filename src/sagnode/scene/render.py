@@ -49,7 +49,7 @@ def render(scene: Scene, moment: Moment) -> Rendered:
     _paint_backdrop(canvas, scene, moment, frame, light)
     for thing in sorted(_things(canvas, scene, frame, light), key=lambda t: -t.distance_m):
         thing.draw()
-    seen = _draw_wires(canvas, scene, moment, light.sun)
+    seen = _draw_wires(canvas, scene, moment, light)
     image = develop(scene, moment, canvas.grey)
     summary = {name: _summary(how, moment) for name, how in seen.items()}
     return Rendered(image, truth_document(scene, moment, summary), seen)
@@ -97,11 +97,13 @@ def _draw_bars(canvas: Canvas, bars: list[Bar], light: Light) -> None:
         canvas.segment(bar.ends, bar.width_m, light.snowed(grey, 0.6 * level), opaque=False)
 
 
-def _draw_wires(canvas: Canvas, scene: Scene, moment: Moment, sun: float) -> dict[str, tuple[Seen, ...]]:
+def _draw_wires(canvas: Canvas, scene: Scene, moment: Moment, light: Light) -> dict[str, tuple[Seen, ...]]:
     """Draw all wires; by conductor id, how they are seen."""
     if not moment.draw_wires:
         return {}
-    look = WireLook(shade=46.0 + 12.0 * sun, lit=112.0 + 78.0 * sun)
+    tone, direct = scene.world.wire_tone, 78.0 * light.sun
+    greys = tone * (46.0 + 12.0 * light.sun), tone * (112.0 + direct), tone * moment.rounded * direct
+    look = WireLook(*greys, light.towards)
     for k, wire in enumerate(scene.world.other_wires):
         state = WireState(wire.sag_m)
         draw_wire(canvas, np.array(wire.near), np.array(wire.far), state, wire.diameter_m, look, [scene.seed, 900 + k])

@@ -62,6 +62,8 @@ class World:
     """Distance of that forest."""
     opening: float = 0.02
     """Trees that the seed grows stay clear of the line by 14 m and by this share of their distance from A."""
+    wire_tone: float = 1.0
+    """Brightness of all wires over that of weathered aluminium; from 2 on it is new."""
     plain_grey: float = 170.0
     """Mean grey of the backdrops ``plain`` and ``textured``."""
 
@@ -102,6 +104,8 @@ class Moment:
     exposure: float | None = None
     """Brightness relative to a well exposed picture; by default what an automatic exposure reaches."""
     draw_wires: bool = True
+    rounded: float = 0.0
+    """How far the sun lights one side of a wire more than the other, 0 (even bands) to 1 (matt cylinders)."""
     relief: float = 0.0
     """How far faces are lit by where they look and shadows lie on things, 0 (all alike) to 1."""
     snow: float = 0.0

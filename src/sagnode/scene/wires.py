@@ -9,13 +9,15 @@ from numpy.typing import NDArray
 
 from sagnode.config.span import Conductor
 from sagnode.geometry.camera import FloatArray
-from sagnode.scene.canvas import Canvas, normal_cdf
+from sagnode.scene.canvas import Canvas, normal_cdf, normal_pdf
 from sagnode.scene.catenary import PartialLoad, PointLoad, WireState, wire_points
 from sagnode.scene.noise import Float32, Floats, generator
 
 STEP_PX = 1.0
 """Spacing of the polyline; on a bend of 20 px radius it departs from the curve by 0.006 px."""
 Indices = NDArray[np.intp]
+ACROSS = (np.arange(64) + 0.5) / 32 - 1
+"""Places across a wire, of its half width, where its light is worked out."""
 REACH_M = 0.6
 """Wires nearer to the camera than this are not drawn (a pinhole has no near focus)."""
 
@@ -26,6 +28,10 @@ class WireLook:
 
     shade: float
     lit: float
+    sunlit: float = 0.0
+    """By how much the sun brightens what of a wire faces it; 0 for a wire that is alike across."""
+    towards: FloatArray | None = None
+    """Unit vector to the sun, site frame (3,)."""
 
 
 @dataclass(frozen=True)
@@ -109,9 +115,13 @@ def draw_wire(
     half = width[segment] / 2
     cover = normal_cdf((beside + half) / s) - normal_cdf((beside - half) / s)
     free = canvas.distance[row, column] > curve.depth[segment]
-    cover *= free
     background = canvas.grey[row, column]
-    canvas.grey[row, column] = background + cover * (grey[segment] - background)
+    painted = background + free * cover * (grey[segment] - background)
+    if look.sunlit and look.towards is not None:
+        lit_side = _lit_side(canvas, curve, look.sunlit, look.towards)[segment]
+        ramp = (beside * cover + s * (normal_pdf((beside + half) / s) - normal_pdf((beside - half) / s))) / half
+        painted += free * ramp * lit_side
+    canvas.grey[row, column] = painted
     return seen
 
 
@@ -137,6 +147,8 @@ def _sleeve(s: FloatArray, state: WireState) -> Float32:
 class _Polyline:
     """A projected curve: pixels (N, 2), depth (N,), view elevation (N,) rad, share of the span per point (N,)."""
 
+    points: FloatArray
+    """Site frame (N, 3), m."""
     pixels: FloatArray
     depth: Float32
     elevation: Float32
@@ -173,6 +185,7 @@ class _Polyline:
         index = np.flatnonzero(kept)
         share = np.gradient(s)[index]
         return cls(
+            points[index],
             pixels[index],
             np.linalg.norm(offset, axis=1)[index].astype(np.float32),
             elevation[index].astype(np.float32),
@@ -191,6 +204,29 @@ def _greys(canvas: Canvas, curve: _Polyline, look: WireLook, seed: list[int]) ->
     )
     grey = look.shade + (look.lit - look.shade) * lit * (1 + 0.12 * np.tanh(waves))
     return canvas.air.veil(grey.astype(np.float32), curve.depth)
+
+
+def _lit_side(canvas: Canvas, curve: _Polyline, sunlit: float, towards: FloatArray) -> Float32:
+    """By how much more a wire is lit at its edge than in its middle, towards :func:`_nearest`'s positive side (N,).
+
+    That of a matt cylinder (Lambert). Only what is not alike on both sides is taken, as a slope.
+    """
+    along = np.gradient(curve.points, axis=0)
+    along /= np.maximum(np.linalg.norm(along, axis=1), 1e-12)[:, None]
+    in_picture = np.gradient(curve.pixels, axis=0)
+    right, down = canvas.pose.rotation[:2]
+    beside = in_picture[:, 1, None] * right - in_picture[:, 0, None] * down
+    facing = canvas.pose.position - curve.points
+
+    def sun_on(side: FloatArray) -> FloatArray:
+        across = side - np.sum(side * along, axis=1)[:, None] * along
+        return np.asarray(across @ towards / np.maximum(np.linalg.norm(across, axis=1), 1e-12))
+
+    on_beside, on_facing = sun_on(beside), sun_on(facing)
+    light = np.maximum(on_facing[:, None] * np.sqrt(1 - ACROSS**2) + on_beside[:, None] * ACROSS, 0.0)
+    slope = light @ ACROSS / (ACROSS @ ACROSS)
+    bright = (sunlit * slope).astype(np.float32)
+    return canvas.air.veil(bright, curve.depth) - canvas.air.veil(np.zeros_like(bright), curve.depth)
 
 
 def _nearest(canvas: Canvas, curve: _Polyline, reach: Floats) -> tuple[Indices, Indices, Indices, Float32]:
