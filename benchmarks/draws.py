@@ -79,6 +79,13 @@ def glare(setting: Setting, shot: Shot) -> Shot:
     )
 
 
+def sunlit(setting: Setting, shot: Shot) -> Shot:
+    """A clear day with a sun that lights one side of the wires."""
+    rng = setting.rng
+    elevation, cloud = float(rng.uniform(8.0, 40.0)), float(rng.uniform(0.0, 0.3))
+    return replace(shot, moment=replace(shot.moment, sun_elevation_deg=elevation, cloud=cloud))
+
+
 def strong_clouds(setting: Setting, shot: Shot) -> Shot:
     """Towering clouds: edges as strong as a wire, dark and bright beside each other."""
     rng = setting.rng
@@ -221,6 +228,11 @@ def moved(low_px: float, high_px: float) -> Change:
 def treeline(world: World, _span: Span, view: View, rng: Generator) -> World:
     """A forest so high that the wires are seen before it, from the tower wholly."""
     return replace(world, forest_m=float(rng.uniform(*view.forest_m)), horizon_m=view.forest_away_m)
+
+
+def new_wires(world: World, _span: Span, _view: View, rng: Generator) -> World:
+    """Wires from weathered to new, which are as bright as clouds."""
+    return replace(world, wire_tone=float(rng.uniform(1.0, 2.5)))
 
 
 def crossed(world: World, span: Span, _view: View, rng: Generator) -> World:

@@ -94,6 +94,14 @@ GROUPS = (
     Group("rain", "rain, in half of the frames with drops on the lens", _V["tower"], MANY, draws.frames(draws.rain)),
     Group("night", "sun 0 to 8° below the horizon", _V["tower"], MANY, draws.frames(draws.night)),
     Group("glare", "a low sun in the picture or beside it", _V["tower"], MANY, draws.frames(draws.glare)),
+    Group(
+        "sunlit",
+        "bright wires that a low sun lights from one side",
+        _V["tower"],
+        MANY,
+        draws.frames(draws.sunlit),
+        world=draws.new_wires,
+    ),
     Group("clouds", "strong clouds", _V["tower"], MANY, draws.frames(draws.strong_clouds)),
     # what stands around
     Group(

@@ -187,7 +187,8 @@ def _offsets(design: Design, theta: FloatArray, rng: np.random.Generator) -> Cur
     kept = np.isfinite(measured).all(axis=1)
     sigma = seen.sigma[kept]
     own = (seen.t[kept], seen.arc[kept], normal[kept], measured[kept], sigma)
-    return CurveObservations(*own, shared_px=seen.shared_px, shared_share=seen.shared_share)
+    shading = None if seen.shading is None else seen.shading[kept]
+    return CurveObservations(*own, shared_px=seen.shared_px, shared_share=seen.shared_share, shading=shading)
 
 
 def compare(view: str, trials: Sequence[Trial]) -> list[Line]:

@@ -127,4 +127,5 @@ def any_moment(setting: Setting) -> Moment:
         cloud_drift_m=(float(rng.uniform(-9e3, 9e3)), float(rng.uniform(-9e3, 9e3))),
         fog_per_m=float(np.exp(rng.uniform(math.log(8e-5), math.log(6e-4)))),
         psf_px=float(rng.uniform(0.65, 1.1)),
+        rounded=1.0,
     )
