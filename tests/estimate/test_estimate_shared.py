@@ -58,9 +58,17 @@ def test_an_estimate_that_did_not_settle_has_no_say():
     assert shared_error([(survey, replace(solution, converged=False))]) == shared_error([])
 
 
-def test_the_evidence_is_that_of_the_offsets_covariance():
+def lit(solution, seed=3):
+    """The same solution, light from one side having moved its offsets."""
+    shading = np.random.default_rng(seed).uniform(0, 0.1, (len(solution.white), 1)) * solution.curve.normal
+    return replace(solution, curve=replace(solution.curve, shading=shading))
+
+
+@pytest.mark.parametrize("changed", [lambda solution: solution, lit], ids=["even light", "light from one side"])
+def test_the_evidence_is_that_of_the_offsets_covariance(changed):
     """Against the plain formula, in which covariances are matrices and the prior is one more observation."""
     survey, solution = frame(4, 0.03, conductors=1, count=30)[0]
+    solution = changed(solution)
     free, curve = survey.unknowns(), solution.curve
     own = solution.jacobian[:, free]
     prior = np.diag(survey.prior_sigma()[free] ** 2)
@@ -83,6 +91,7 @@ def weighing(solution):
 def test_a_solution_knows_the_inverse_of_its_offsets_covariance(way):
     """Whether the offsets share errors with their neighbours alone or, as under an uneven load, all along the wire."""
     _, solution = frame(5, 0.03, conductors=1, count=40)[0]
+    solution = lit(solution)
     together = np.diag(solution.white) + correlated_error(solution.curve)
     expected, spread = np.linalg.inv(together), np.linalg.slogdet(together)[1]
     for one in (solution, replace(solution, shared=correlated_error(solution.curve))):

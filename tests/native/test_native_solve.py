@@ -134,18 +134,20 @@ def test_the_uncertainty_of_the_curve_is_that_of_numpy():
         (9, 20, ValueError, "free"),
         (10, np.arange(12.0)[::-1].copy(), ValueError, "rise"),
         (11, np.zeros(5), ValueError, "length"),
-        (12, np.eye(27), ValueError, "known"),
-        (14, np.zeros(3), ValueError, "longest"),
-        (15, np.zeros(3), ValueError, "settings"),
-        (16, 0, ValueError, "iterations"),
-        (17, np.zeros((28, 28), dtype=np.float32), TypeError, "covariance"),
-        (21, np.zeros((12, 18)), ValueError, "jacobian"),
+        (12, np.zeros((12, 3)), ValueError, "shading"),
+        (12, np.zeros((11, 2)), ValueError, "shading"),
+        (13, np.eye(27), ValueError, "known"),
+        (15, np.zeros(3), ValueError, "longest"),
+        (16, np.zeros(3), ValueError, "settings"),
+        (17, 0, ValueError, "iterations"),
+        (18, np.zeros((28, 28), dtype=np.float32), TypeError, "covariance"),
+        (22, np.zeros((12, 18)), ValueError, "jacobian"),
     ],
 )
 def test_arguments_that_do_not_fit_are_refused(place, other, error, message):
     survey, start, _, curve = question(4, count=12)
-    asked = [*words(survey, start, curve), 18, curve.arc, curve.sigma, np.eye(28), np.zeros(28), np.ones(18)]
-    asked += [np.ones(10), 5, np.zeros((28, 28)), *np.zeros((3, 12)), np.zeros((12, 28))]
+    asked = [*words(survey, start, curve), 18, curve.arc, curve.sigma, np.zeros((12, 2)), np.eye(28), np.zeros(28)]
+    asked += [np.ones(18), np.ones(10), 5, np.zeros((28, 28)), *np.zeros((3, 12)), np.zeros((12, 28))]
     kernels.solve(*asked)
     asked[place] = other
     with pytest.raises(error, match=message):

@@ -1,5 +1,7 @@
 """Lenses of every kind, and questions for the joint estimate."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from sagnode.estimate.camera import CameraKnowledge
@@ -48,6 +50,8 @@ def question(seed, lens="pinhole", count=None):
     offset = np.where(rng.random(count) < 0.9, rng.normal(0, 0.4, count), rng.normal(0, 9, count))
     arc = np.cumsum(rng.exponential(15.0, count) * (rng.random(count) < 0.9))
     curve = CurveObservations(t, arc, normal, pixels + offset[:, None] * normal, rng.uniform(0.02, 1, count))
+    if seed % 4 >= 2:
+        curve = replace(curve, shading=rng.uniform(0, 0.4, (count, 1)) * normal)
     rows = rng.normal(0, 1, (6, 10)) / survey.prior_sigma()[:10]
     start = theta.copy()
     start[SAG] *= rng.uniform(0.9, 1.1)

@@ -165,10 +165,12 @@ def _offsets_from(track: Track, wire: CurveObservations) -> CurveObservations:
     nearest = _nearest(track, wire.measured)
     order = np.argsort(track.arc[nearest], kind="stable")
     nearest = nearest[order]
+    turned = np.sign(np.sum(track.normal[nearest] * wire.normal[order], axis=1, keepdims=True))
     return CurveObservations(
         t=track.t[nearest],
         arc=track.arc[nearest],
         normal=track.normal[nearest],
         measured=wire.measured[order],
         sigma=wire.sigma[order],
+        shading=None if wire.shading is None else turned * wire.shading[order],
     )

@@ -149,6 +149,10 @@ class Solution:
         white, correlated = self.noise
         gain = posterior @ (self.precision @ self.jacobian).T / self.inflation
         pieces["pixel noise"] = (gain * (white * self.inflation)) @ gain.T
+        if self.curve.shading is not None:
+            lit = gain @ self.curve.shading
+            pieces["light on one side"] = self.inflation * (lit @ lit.T)
+            correlated = correlated - self.curve.shading @ self.curve.shading.T
         pieces["correlated curve error"] = gain @ (correlated * self.inflation) @ gain.T
         if self.curve.texture is not None:
             pieces["texture taken for wire"] = (gain * self.curve.texture**2) @ gain.T
@@ -216,7 +220,8 @@ class _Question:
 def _solve_compiled(compiled: ModuleType, asked: _Question) -> Solution:
     """:func:`_solve`, where the offsets follow each other along the curve."""
     curve, theta = asked.curve, asked.start.astype(np.float64)
-    along = (np.ascontiguousarray(part, dtype=np.float64) for part in (curve.arc, curve.sigma))
+    shading = np.empty((len(curve.t), 0)) if curve.shading is None else curve.shading
+    along = (np.ascontiguousarray(part, dtype=np.float64) for part in (curve.arc, curve.sigma, shading))
     own = (*words(asked.survey, theta, curve), len(asked.longest), *along)
     settings = np.array([curve.shared_px, curve.shared_share, *_SETTINGS, *asked.bounds])
     own = (*own, asked.known, asked.target, asked.longest, settings, asked.iterations)

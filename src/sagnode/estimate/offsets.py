@@ -50,6 +50,8 @@ class CurveObservations:
             though it does not weigh in the estimate, px (M,); None where there is none beyond ``sigma``.
         shared_px: least standard deviation of what neighbours share, px.
         shared_share: the same, relative to an offset's own.
+        shading: what light from the picture's right, and light from below, moves each offset by if it is one standard
+            deviation stronger, px (M, 2); None where the wire's own light cannot move them.
     """
 
     t: FloatArray
@@ -60,14 +62,15 @@ class CurveObservations:
     texture: FloatArray | None = None
     shared_px: float = CORRELATED_PX
     shared_share: float = CORRELATED_SHARE
+    shading: FloatArray | None = None
 
-    def some(self, kept: NDArray[np.bool_]) -> CurveObservations:
+    def some(self, kept: NDArray[np.bool_] | NDArray[np.intp]) -> CurveObservations:
         """Those of the offsets (M,) that are kept."""
-        texture = None if self.texture is None else self.texture[kept]
+        texture, shading = (None if part is None else part[kept] for part in (self.texture, self.shading))
         t, arc, normal, measured, sigma = (
             part[kept] for part in (self.t, self.arc, self.normal, self.measured, self.sigma)
         )
-        return CurveObservations(t, arc, normal, measured, sigma, texture, self.shared_px, self.shared_share)
+        return CurveObservations(t, arc, normal, measured, sigma, texture, self.shared_px, self.shared_share, shading)
 
     @cached_property
     def load_shapes(self) -> FloatArray:
@@ -127,7 +130,8 @@ def correlated_error(curve: CurveObservations) -> FloatArray:
     """Covariance (M, M) of what offsets share, px²."""
     distance = np.abs(curve.arc[:, None] - curve.arc[None, :])
     shared = np.hypot(curve.shared_px, curve.shared_share * curve.sigma)
-    return np.asarray(shared[:, None] * shared * np.exp(-distance / CORRELATION_LENGTH_PX))
+    result = shared[:, None] * shared * np.exp(-distance / CORRELATION_LENGTH_PX)
+    return np.asarray(result if curve.shading is None else result + curve.shading @ curve.shading.T)
 
 
 def finer_load_error(survey: Survey, theta: FloatArray, curve: CurveObservations) -> FloatArray:

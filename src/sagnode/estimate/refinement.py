@@ -284,6 +284,7 @@ def offsets_of(observed: Observed, *, bent: bool) -> CurveObservations:
         measured=(observed.pixel + observed.offset[:, None] * observed.normal)[use],
         sigma=sigma[use],
         texture=None if bent else observed.texture[use],
+        shading=None if observed.shading is None else observed.shading[use],
     )
 
 

@@ -123,6 +123,4 @@ def _clear(offsets: CurveObservations) -> CurveObservations | None:
     use = use[: gap[0] + 1] if len(gap) else use
     if len(use) < CLEAR_LEAST:
         return None
-    return CurveObservations(
-        offsets.t[use], offsets.arc[use], offsets.normal[use], offsets.measured[use], offsets.sigma[use]
-    )
+    return replace(offsets.some(use), texture=None)

@@ -24,13 +24,28 @@ def whitened_products(
         rows: of every offset.
         sizes: of the shared error (G, 2): least, px, and relative to an offset's own.
     """
+    lights = np.empty((len(rows), 0)) if curve.shading is None else curve.shading
+    together = np.column_stack([rows, lights])
     if kernels is None:
-        whitened, spread = _whitened(curve, white, rows, sizes)
-        return np.swapaxes(whitened, 1, 2) @ whitened, spread
-    products, spread = np.empty((len(sizes), rows.shape[1], rows.shape[1])), np.empty(len(sizes))
-    own = (np.ascontiguousarray(part, dtype=np.float64) for part in (_kept(curve), curve.sigma, white, rows))
+        whitened, spread = _whitened(curve, white, together, sizes)
+        return _without_lights(np.swapaxes(whitened, 1, 2) @ whitened, spread, rows.shape[1])
+    products, spread = np.empty((len(sizes), together.shape[1], together.shape[1])), np.empty(len(sizes))
+    own = (np.ascontiguousarray(part, dtype=np.float64) for part in (_kept(curve), curve.sigma, white, together))
     kernels.shared_products(*own, sizes, products, spread)
-    return products, spread
+    return _without_lights(products, spread, rows.shape[1])
+
+
+def _without_lights(products: FloatArray, spread: FloatArray, columns: int) -> tuple[FloatArray, FloatArray]:
+    """The same where the covariance has what lights do to all offsets: V, the products' columns beyond the first ones.
+
+    ``(C + VVᵀ)⁻¹ = C⁻¹ - C⁻¹V (1 + VᵀC⁻¹V)⁻¹ VᵀC⁻¹``, and ``|C + VVᵀ| = |C| |1 + VᵀC⁻¹V|``.
+    """
+    if products.shape[1] == columns:
+        return products, spread
+    both = products[:, columns:, :columns]
+    of_lights = products[:, columns:, columns:] + np.eye(products.shape[1] - columns)
+    left = products[:, :columns, :columns] - np.swapaxes(both, 1, 2) @ np.linalg.solve(of_lights, both)
+    return left, spread + np.linalg.slogdet(of_lights)[1]
 
 
 def _kept(curve: CurveObservations) -> FloatArray:

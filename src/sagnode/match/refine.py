@@ -15,6 +15,7 @@ from sagnode.match.fold import fold_at
 from sagnode.match.kernels import MARGIN_PX
 from sagnode.match.localise import localise_beside
 from sagnode.match.masks import Neighbour, folds_back, others_near, pulled, reach_of
+from sagnode.match.shading import moved_by_light
 from sagnode.match.standing import UNKNOWN_PX, stand_out, texture_sigma
 from sagnode.match.tip import BEHIND_PX, find_tip
 from sagnode.match.track import Track
@@ -46,6 +47,8 @@ class Observed:
         rank: share of shifted curves that look less like a wire here (M,), 0..1.
         usable: blocks inside the frame, ranked above the background, not near another wire (M,).
         masked: blocks left out because another wire runs there (M,).
+        shading: what light from the right and from below moves each block by (:mod:`sagnode.match.shading`), px (M, 2);
+            None where that is too little to matter.
         tip: the block that is the tip of a fold instead, if that is beyond doubt.
     """
 
@@ -63,6 +66,7 @@ class Observed:
     rank: FloatArray
     usable: NDArray[np.bool_]
     masked: NDArray[np.bool_]
+    shading: FloatArray | None = None
     tip: int | None = None
 
 
@@ -124,6 +128,7 @@ def observe(
         rank=stood.rank,
         usable=stood.usable,
         masked=masked,
+        shading=moved_by_light(image, pixel, normal, track.width[index], blocks.contrast, blocks.snr),
     )
 
 
@@ -173,5 +178,6 @@ def with_tip(
         rank=but(observed.rank, 1.0),
         usable=but(observed.usable, True),
         masked=but(observed.masked, False),
+        shading=None if observed.shading is None else but(observed.shading, 0.0),
         tip=block if tip.sure else None,
     )

@@ -11,7 +11,7 @@ import importlib
 import os
 from types import ModuleType
 
-INTERFACE = 15
+INTERFACE = 16
 """Of the compiled module that this version knows how to call; one that was built from other sources is left out."""
 
 

@@ -283,6 +283,7 @@ def solve(
     free: int,
     arc: Array,
     sigma: Array,
+    shading: Array,
     known: Array,
     target: Array,
     longest: Array,
@@ -296,9 +297,10 @@ def solve(
 ) -> tuple[float, float, int]:
     """:func:`sagnode.estimate.joint.solve` from theta, which it moves; inflation, misfit, and whether it converged.
 
-    arc rises; known (28, 28), target (28,) and longest (free,) are the prior and the longest steps there; settings are
-    its constants, and bounds of sag and swing. A step that leads nowhere is not taken. Results go
-    into theta, covariance (28, 28), residual, weight, noise (M,) and jacobian (M, 28).
+    arc rises; shading (M, at most 2) is what lights move offsets by; known (28, 28), target (28,) and longest (free,)
+    are the prior and the longest steps there; settings are its constants, and bounds of sag and swing. A step that
+    leads nowhere is not taken. Results go into theta, covariance (28, 28), residual, weight, noise (M,) and jacobian
+    (M, 28).
     """
 
 # Several shapes at once: near and far (S, 3), sag and swing (S,), load (S or 1, K); t (N,) without gaps; the ground's

@@ -1,7 +1,8 @@
 /* The joint estimate of camera and conductor: see sagnode.estimate.joint, which says what it means and does the same in
    NumPy. There the offsets' covariance is a matrix. Here the error that neighbours share, which falls off exponentially
    with their distance along the curve, is what it is then: a first-order Markov process, whose states a scalar Kalman
-   filter follows from one offset to the next. Its normalised innovations are the whitened rows. */
+   filter follows from one offset to the next. Its normalised innovations are the whitened rows. What light from one side
+   does to all offsets alike comes as further columns, which are eliminated from the sums of products. */
 #include "numbers.h"
 #include "terms.h"
 #include <stdlib.h>
@@ -22,20 +23,25 @@ static double median_of_absolutes(const double *values, Py_ssize_t count, double
     return count % 2 ? room[count / 2] : 0.5 * (room[count / 2 - 1] + room[count / 2]);
 }
 
-/* Sums of products of the columns of the whitened rows, derivatives first and the residual last, into the upper half of
-   (width + 1, width + 1). */
-static void weigh(const offsets *seen, const double *settings, const double *noise, const double *shared,
-                  const double *jacobian, int width, const double *residual, double *sums)
+/* Directions of light at most, and the most columns of a row: derivatives, the residual, and what each light does. */
+enum { LIGHTS = 2, COLUMNS = SIZE + 1 + LIGHTS };
+
+/* Sums of products of the columns of the whitened rows, derivatives first and the residual next, into the upper half of
+   (columns, columns), whose number is returned; what is behind the residual's is of no further use. */
+static int weigh(const offsets *seen, const double *settings, const double *noise, const double *shared,
+                 const double *jacobian, int width, const double *residual, double *sums)
 {
-    double state[SIZE + 1] = {0}, row[SIZE + 1], variance = 1.0;
-    int columns = width + 1;
+    double state[COLUMNS] = {0}, row[COLUMNS], variance = 1.0;
+    int columns = width + 1 + seen->lights;
     memset(sums, 0, (size_t)(columns * columns) * sizeof *sums);
     for (Py_ssize_t n = 0; n < seen->count; n++) {
         double kept = n ? exp(-(seen->arc[n] - seen->arc[n - 1]) / settings[REACH_PX]) : 0.0, own = sqrt(shared[n]);
         double before = kept * kept * variance + (1 - kept * kept);
         double total = shared[n] * before + noise[n], gain = own * before / total, shorten = 1 / sqrt(total);
         for (int k = 0; k < columns; k++) {
-            double value = k < width ? jacobian[n * SIZE + k] : residual[n];
+            double value = k < width    ? jacobian[n * SIZE + k]
+                           : k == width ? residual[n]
+                                        : seen->shading[n * seen->lights + k - width - 1];
             double foreseen = kept * state[k], surprise = value - own * foreseen;
             state[k] = foreseen + gain * surprise;
             row[k] = surprise * shorten;
@@ -47,6 +53,16 @@ static void weigh(const offsets *seen, const double *settings, const double *noi
                 of[j] += factor * row[j];
         }
     }
+    /* (C + vv')^-1 = C^-1 - C^-1 v v' C^-1 / (1 + v' C^-1 v), one light after the other */
+    for (int last = columns - 1; last > width; last--) {
+        double factor = 1.0 / (1.0 + sums[last * columns + last]);
+        for (int i = 0; i < last; i++) {
+            double own = sums[i * columns + last] * factor;
+            for (int j = i; j < last; j++)
+                sums[i * columns + j] -= own * sums[j * columns + last];
+        }
+    }
+    return columns;
 }
 
 /* What is asked of an estimate, and what it answers. */
@@ -60,16 +76,17 @@ typedef struct {
     int converged;
 } estimate;
 
-static void weights(estimate *e, const double *shared, double spread)
+/* `marginal`: variance of each offset by all that it shares. */
+static void weights(estimate *e, const double *marginal, double spread)
 {
     double limit2 = e->settings[CAUCHY] * e->settings[CAUCHY], sum = 0.0, chi2 = 0.0;
     for (Py_ssize_t n = 0; n < e->seen.count; n++) {
         double white = e->seen.sigma[n] * e->seen.sigma[n], squared = e->residual[n] * e->residual[n];
-        double weight = 1.0 / (1.0 + squared / (white + shared[n] + spread * spread) / limit2);
+        double weight = 1.0 / (1.0 + squared / (white + marginal[n] + spread * spread) / limit2);
         e->weight[n] = weight;
         e->noise[n] = white / least(weight, 1e-6);
         sum += weight;
-        chi2 += weight * squared / least(e->noise[n] + shared[n], 1e-12);
+        chi2 += weight * squared / least(e->noise[n] + marginal[n], 1e-12);
     }
     double ratio = chi2 / least(sum - 4.0, 1.0);
     e->inflation = ratio > 1.0 ? ratio : 1.0;
@@ -79,12 +96,12 @@ static void weights(estimate *e, const double *shared, double spread)
 static double advance(estimate *e, const double *shared, double *posterior)
 {
     int width = e->of.free;
-    double sums[(SIZE + 1) * (SIZE + 1)], matrix[SIZE * SIZE], vector[SIZE], step[SIZE], ratio = 1.0;
-    weigh(&e->seen, e->settings, e->noise, shared, e->jacobian, width, e->residual, sums);
+    double sums[COLUMNS * COLUMNS], matrix[SIZE * SIZE], vector[SIZE], step[SIZE], ratio = 1.0;
+    int columns = weigh(&e->seen, e->settings, e->noise, shared, e->jacobian, width, e->residual, sums);
     for (int i = 0; i < width; i++) {
-        vector[i] = e->target[i] + sums[i * (width + 1) + width] / e->inflation;
+        vector[i] = e->target[i] + sums[i * columns + width] / e->inflation;
         for (int j = 0; j < width; j++) {
-            int upper = i < j ? i * (width + 1) + j : j * (width + 1) + i;
+            int upper = i < j ? i * columns + j : j * columns + i;
             matrix[i * width + j] = e->known[i * SIZE + j] + sums[upper] / e->inflation;
             vector[i] -= e->known[i * SIZE + j] * e->theta[j];
         }
@@ -119,19 +136,24 @@ static void begin(const estimate *e, double *posterior)
     solve_scaled(matrix, none, width, step, posterior);
 }
 
-/* `room` holds twice as many numbers as there are offsets. */
+/* `room` holds three times as many numbers as there are offsets. */
 static void settle(estimate *e, double *room)
 {
-    double *shared = room + e->seen.count, posterior[SIZE * SIZE], after[SIZE * SIZE], before[SIZE], sums[1];
+    double *shared = room + e->seen.count, *marginal = shared + e->seen.count;
+    double posterior[SIZE * SIZE], after[SIZE * SIZE], before[SIZE], sums[(1 + LIGHTS) * (1 + LIGHTS)];
     int width = e->of.free, steps = 0, nowhere = 0;
     for (Py_ssize_t n = 0; n < e->seen.count; n++) {
         double own = hypot(e->settings[LEAST_SHARED], e->settings[SHARE] * e->seen.sigma[n]);
-        shared[n] = own * own;
+        shared[n] = marginal[n] = own * own;
+        for (int k = 0; k < e->seen.lights; k++) {
+            double moved = e->seen.shading[n * e->seen.lights + k];
+            marginal[n] += moved * moved;
+        }
     }
     terms(&e->of, e->theta, &e->seen, e->residual, e->jacobian);
     for (int k = 0; k < e->iterations && !e->converged && !nowhere; k++) {
         double spread = k < 2 ? least(1.4826 * median_of_absolutes(e->residual, e->seen.count, room), 1e-3) : 0.0;
-        weights(e, shared, spread);
+        weights(e, marginal, spread);
         memcpy(before, e->theta, sizeof before);
         double length = advance(e, shared, after);
         terms(&e->of, e->theta, &e->seen, e->residual, length > e->settings[ANEW] ? e->jacobian : NULL);
@@ -169,29 +191,31 @@ PyObject *solve(PyObject *module, PyObject *const *words, Py_ssize_t count)
 {
     arrays all = {0};
     estimate e = {0};
-    array theta, arc, sigma, known, target, longest, settings, covariance, residual, weight, noise, jacobian;
+    array theta, arc, sigma, shading, known, target, longest, settings, covariance, residual, weight, noise, jacobian;
     double iterations;
     (void)module;
-    if (require(count == ASKED + 13, "solve takes 22 arguments") < 0)
+    if (require(count == ASKED + 14, "solve takes 23 arguments") < 0)
         return NULL;
     PyObject *const *more = words + ASKED;
     if (take_offsets(&all, words, 1, &e.of, &theta, &e.seen) < 0 || take_free(more[0], &e.of.free) < 0 ||
         take(&all, more[1], "arc", 'd', 1, 1, 0, &arc) < 0 || take(&all, more[2], "sigma", 'd', 1, 1, 0, &sigma) < 0 ||
-        take(&all, more[3], "known", 'd', 2, 1, 0, &known) < 0 ||
-        take(&all, more[4], "target", 'd', 1, 1, 0, &target) < 0 ||
-        take(&all, more[5], "longest", 'd', 1, 1, 0, &longest) < 0 ||
-        take(&all, more[6], "settings", 'd', 1, 1, 0, &settings) < 0 || take_number(more[7], &iterations) < 0 ||
-        take(&all, more[8], "covariance", 'd', 2, 1, 1, &covariance) < 0 ||
-        take(&all, more[9], "residual", 'd', 1, 1, 1, &residual) < 0 ||
-        take(&all, more[10], "weight", 'd', 1, 1, 1, &weight) < 0 ||
-        take(&all, more[11], "noise", 'd', 1, 1, 1, &noise) < 0 ||
-        take(&all, more[12], "jacobian", 'd', 2, 1, 1, &jacobian) < 0)
+        take(&all, more[3], "shading", 'd', 2, 1, 0, &shading) < 0 ||
+        take(&all, more[4], "known", 'd', 2, 1, 0, &known) < 0 ||
+        take(&all, more[5], "target", 'd', 1, 1, 0, &target) < 0 ||
+        take(&all, more[6], "longest", 'd', 1, 1, 0, &longest) < 0 ||
+        take(&all, more[7], "settings", 'd', 1, 1, 0, &settings) < 0 || take_number(more[8], &iterations) < 0 ||
+        take(&all, more[9], "covariance", 'd', 2, 1, 1, &covariance) < 0 ||
+        take(&all, more[10], "residual", 'd', 1, 1, 1, &residual) < 0 ||
+        take(&all, more[11], "weight", 'd', 1, 1, 1, &weight) < 0 ||
+        take(&all, more[12], "noise", 'd', 1, 1, 1, &noise) < 0 ||
+        take(&all, more[13], "jacobian", 'd', 2, 1, 1, &jacobian) < 0)
         goto refused;
     const array *each[] = {&arc, &sigma, &residual, &weight, &noise, &jacobian};
     for (int k = 0; k < 6; k++)
         if (require(each[k]->shape[0] == e.seen.count && e.seen.count > 0, "an array of a wrong length") < 0)
             goto refused;
-    if (require(known.shape[0] == SIZE && known.shape[1] == SIZE && target.shape[0] == SIZE &&
+    if (require(shading.shape[0] == e.seen.count && shading.shape[1] <= LIGHTS, "shading of a wrong size") < 0 ||
+        require(known.shape[0] == SIZE && known.shape[1] == SIZE && target.shape[0] == SIZE &&
                     longest.shape[0] == e.of.free && settings.shape[0] == SETTINGS && covariance.shape[0] == SIZE &&
                     covariance.shape[1] == SIZE && jacobian.shape[1] == SIZE,
                 "known, target, longest, settings, covariance or jacobian of a wrong size") < 0 ||
@@ -201,13 +225,15 @@ PyObject *solve(PyObject *module, PyObject *const *words, Py_ssize_t count)
     for (Py_ssize_t n = 1; n < e.seen.count; n++)
         if (require(along[n] >= along[n - 1], "arc does not rise") < 0)
             goto refused;
-    double *room = malloc(2 * (size_t)e.seen.count * sizeof *room);
+    double *room = malloc(3 * (size_t)e.seen.count * sizeof *room);
     if (room == NULL) {
         PyErr_NoMemory();
         goto refused;
     }
     e.seen.arc = along;
     e.seen.sigma = (const double *)sigma.at;
+    e.seen.shading = (const double *)shading.at;
+    e.seen.lights = (int)shading.shape[1];
     e.known = (const double *)known.at;
     e.target = (const double *)target.at;
     e.longest = (const double *)longest.at;

@@ -104,8 +104,8 @@ int take_offsets(arrays *all, PyObject *const *words, int written, survey *of, a
         of->near[k] = number(&near, k);
         of->far[k] = number(&far, k);
     }
-    *seen = (offsets){t.shape[0], (const double *)t.at, NULL, (const double *)normal.at, (const double *)measured.at,
-                      NULL};
+    *seen = (offsets){.count = t.shape[0], .t = (const double *)t.at, .normal = (const double *)normal.at,
+                      .measured = (const double *)measured.at};
     return 0;
 }
 

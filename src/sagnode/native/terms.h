@@ -12,7 +12,8 @@ typedef struct {
 
 typedef struct {
     Py_ssize_t count;
-    const double *t, *arc, *normal, *measured, *sigma;
+    const double *t, *arc, *normal, *measured, *sigma, *shading;
+    int lights; /* columns of shading */
 } offsets;
 
 /* The first arguments of curve_terms and solve: lens, rotation, position, near, far, theta, t, normal, measured. */
