@@ -17,9 +17,9 @@ from typing import Literal
 
 import numpy as np
 
-from sagnode.estimate.joint import Solution, solve
+from sagnode.estimate.joint import Solution, solve, solve_on_curve
 from sagnode.estimate.judge import most_sag_u
-from sagnode.estimate.matched import Matched
+from sagnode.estimate.matched import Matched, tip_of
 from sagnode.estimate.offsets import CORRELATION_LENGTH_PX, CurveObservations
 from sagnode.estimate.refinement import STAGES
 from sagnode.estimate.register import Registered
@@ -55,9 +55,11 @@ def conclude(
     for name, solution in judged.items():
         match = found[name]
         offsets = replace(solution.curve, shared_px=px, shared_share=share)
-        last = solve(match.survey, solution.theta, registered.camera, offsets, STAGES[-1].iterations)
+        # the normal of a fold's tip is not across the curve
+        solve_last = solve_on_curve if tip_of(match) is None else solve
+        last = solve_last(match.survey, solution.theta, registered.camera, offsets, STAGES[-1].iterations)
         if _agree(match.solution, last):
-            result[name] = replace(match, solution=last, offsets=offsets)
+            result[name] = replace(match, solution=last, offsets=last.curve)
     return result
 
 

@@ -22,10 +22,12 @@ from sagnode.estimate.camera import CameraKnowledge
 from sagnode.estimate.offsets import (
     CORRELATION_LENGTH_PX,
     CurveObservations,
+    aside_by_sliding,
     correlated_error,
     curve_residual,
     curve_terms,
     finer_load_error,
+    slid,
     words,
 )
 from sagnode.estimate.steps import SETTLED, robust_weights, solve_scaled, solved, step_length
@@ -37,6 +39,8 @@ from sagnode.survey import CAMERA, LOAD, SAG, SIZE, SWING, Survey
 
 CAUCHY_CURVE = 2.5
 """Standardised residual at which an offset counts half."""
+SLID, SLIDES_MOST = 0.2, 4
+"""Share of an offset's uncertainty by which it may be off for having slid along the curve, and most solutions anew."""
 ANEW = 0.5
 """A step of more than this many standard uncertainties makes the derivatives be taken anew."""
 STRIDE = (0.1, np.radians(2.0))
@@ -193,6 +197,29 @@ def solve(
     # what finer terms of a load share reaches over the whole curve, and is no Markov process
     markov = curve.in_order and not survey.load_u > 0
     return _solve_compiled(kernels, question) if kernels is not None and markov else _solve(question)
+
+
+def solve_on_curve(
+    survey: Survey, start: FloatArray, camera: CameraKnowledge, curve: CurveObservations, iterations: int = 10
+) -> Solution:
+    """:func:`solve`, and again with every offset at the place of the solved curve that it is nearest to.
+
+    Where the picture leaves one combination of sag and swing open, a solution goes far along it, and the wire slides
+    along its own picture meanwhile.
+    """
+    solution = solve(survey, start, camera, curve, iterations)
+    for _ in range(SLIDES_MOST):
+        theta = solution.theta
+        if not solution.converged:
+            break
+        aside = aside_by_sliding(survey, theta, solution.curve)
+        if not (aside > SLID * np.sqrt(solution.white + solution.curve.shared_px**2)).any():
+            break
+        again = solve(survey, theta, camera, slid(survey, theta, solution.curve), iterations)
+        if not again.converged:
+            break
+        solution = again
+    return solution
 
 
 @dataclass(frozen=True)

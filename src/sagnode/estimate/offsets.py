@@ -148,6 +148,21 @@ def finer_load_error(survey: Survey, theta: FloatArray, curve: CurveObservations
     return np.asarray(survey.load_u**2 * (moved.T @ moved))
 
 
+def aside_by_sliding(survey: Survey, theta: FloatArray, curve: CurveObservations) -> FloatArray:
+    """By how much residuals (M,) at θ (28,) are wrong, px, since offsets belong to other places of the curve by now.
+
+    Offsets keep the places and the normals of the curve that they were measured about. Where the solved one runs at
+    another angle, and the places have slid along it, that is no longer its distance from what was measured.
+    """
+    intrinsics, pose = survey.camera(theta)
+    ends = survey.shape(theta).points(np.concatenate([curve.t, curve.t + NEARBY]))
+    here, ahead = np.split(project(intrinsics, pose, ends)[0], 2)
+    along = ahead - here
+    along /= np.maximum(np.hypot(*along.T), 1e-12)[:, None]
+    slip = np.sum((curve.measured - here) * along, axis=1)
+    return np.asarray(np.abs(slip * np.sum(along * curve.normal, axis=1)))
+
+
 def slid(survey: Survey, theta: FloatArray, curve: CurveObservations) -> CurveObservations:
     """The same offsets at the places of the curve at θ (28,) that they are nearest to, across it there."""
     intrinsics, pose = survey.camera(theta)

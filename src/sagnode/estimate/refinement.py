@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sagnode.capture.port import GreyImage
-from sagnode.estimate.joint import Solution, curve_uncertainty, solve
+from sagnode.estimate.joint import Solution, curve_uncertainty, solve, solve_on_curve
 from sagnode.estimate.matched import NOT_LOOKED_AT, Matched, measured_share, of_blocks
 from sagnode.estimate.offsets import CurveObservations
 from sagnode.estimate.register import Registered, moved_survey
@@ -105,8 +105,9 @@ def refine(
         if int(observed.usable.sum()) < 4:
             return None
         offsets = offsets_of(observed, bent=survey.load_u > 0 and stage is STAGES[-1])
-        solution = solve(survey, theta, registered.camera, offsets, stage.iterations)
-        if stage is STAGES[-1]:
+        last = stage is STAGES[-1]
+        solution = (solve_on_curve if last else solve)(survey, theta, registered.camera, offsets, stage.iterations)
+        if last:
             observed, offsets, solution = _with_tip(image, survey, observed, offsets, solution, registered, others)
         theta = solution.theta
         view = view_of(survey, conductor, theta)
@@ -114,7 +115,7 @@ def refine(
     if solution is None or observed is None or offsets is None or curve is None:
         return None
     response = mixed_response(image, curve)
-    return Matched(survey, solution, view, curve, observed, offsets, response)
+    return Matched(survey, solution, view, curve, observed, solution.curve, response)
 
 
 def weighed(image: GreyImage, conductor: SiteConductor, registered: Registered, found: Matched) -> Matched:
@@ -208,7 +209,7 @@ def _foretold(
     if int(observed.usable.sum()) < 4:
         return None
     offsets = offsets_of(observed, bent=found.survey.load_u > 0)
-    solve_for = solve_loads if found.survey.load_u > 0 else solve
+    solve_for = solve_loads if found.survey.load_u > 0 else solve_on_curve
     solution = solve_for(found.survey, theta, registered.camera, offsets, STAGES[-1].iterations)
     observed, offsets, solution = _with_tip(image, found.survey, observed, offsets, solution, registered, others)
     view = view_of(found.survey, conductor, solution.theta)
@@ -221,7 +222,7 @@ def _foretold(
         view=view,
         track=curve,
         observed=observed,
-        offsets=offsets,
+        offsets=offsets if found.survey.load_u else solution.curve,
         response=mixed_response(image, curve),
         sighting=NOT_LOOKED_AT,
     )
