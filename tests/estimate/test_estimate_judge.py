@@ -213,6 +213,7 @@ def measured(name: str, validity: Validity, *causes: Cause) -> FrameMeasurement:
         ([measured("b", Validity.GOOD)], False),
         ([measured("b", Validity.INVALID, Cause.UNCERTAIN)], False),
         ([measured("b", Validity.INVALID, Cause.NO_CONDUCTOR)], True),
+        ([measured("b", Validity.INVALID, Cause.TOO_LITTLE_VISIBLE, Cause.UNCERTAIN)], True),
         ([measured("b", Validity.INVALID, Cause.NO_CONDUCTOR), measured("c", Validity.GOOD)], False),
         ([measured(name, Validity.INVALID, Cause.AMBIGUOUS) for name in "bc"], True),
     ],

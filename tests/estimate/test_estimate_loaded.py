@@ -9,7 +9,8 @@ import pytest
 from demo_wire import Found, along_the_line, demo_picture
 from numpy.typing import NDArray
 
-from sagnode.estimate import refinement
+from sagnode.estimate import load, refinement
+from sagnode.estimate.evidence import Unevenness
 from sagnode.estimate.load import Doubt
 from sagnode.estimate.load_kinds import LOAD_U, any_single
 from sagnode.estimate.lone import without_lone
@@ -34,6 +35,21 @@ def test_a_loaded_wire_tells_its_swing_by_what_was_seen_following_it_or_by_the_h
     assert own.swing_loaded(None, by_step) == by_step[-1:]
     unsettled = replace(match, solution=replace(match.solution, converged=False))
     assert own.swing_loaded(unsettled, by_step) == by_step[-1:]
+
+
+def test_offsets_that_no_even_curve_comes_near_explain_nothing_by_numbers_that_are_none(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A step that leads nowhere leaves a misfit that is infinite and weights that are no numbers."""
+    _, conductor, match = along_the_line()
+    registered, _ = register(along_the_line().site, demo_picture())
+    lost = replace(match.solution, misfit=np.inf, converged=False, white=np.full(len(match.offsets.t), np.nan))
+    monkeypatch.setattr(load, "settled", lambda *_: None)
+    monkeypatch.setattr(load, "solve", lambda *_: lost)
+    strained = Doubt(conductor, match.survey, replace(match, response=0.1), [Unevenness(9.0, 4.0, match.swing)], [])
+    explained = load._as_uneven(registered, strained, match)
+    assert explained
+    assert np.isfinite(np.array(explained)).all()
 
 
 ALONE, STREAK = (0.5,), (0.29, 0.38, 0.53)

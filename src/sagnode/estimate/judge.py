@@ -58,7 +58,7 @@ PRIOR_Z_MAX = 5.0
 LOAD_Z_MAX = 3.5
 """So do loads this many standard deviations from what one weight or one stretch of ice makes: wires that hang under one
 lie nearer than three, other lines' wires mostly farther than this."""
-NOT_SEEN = (Cause.NO_CONDUCTOR, Cause.AMBIGUOUS, Cause.OUTSIDE_LIMITS)
+NOT_SEEN = (Cause.NO_CONDUCTOR, Cause.TOO_LITTLE_VISIBLE, Cause.AMBIGUOUS, Cause.OUTSIDE_LIMITS)
 """Why a conductor that was refused bears no other one out."""
 RIVAL_MAX = 0.8
 """A different curve that responds this strongly where it parts from the best leaves open which one is meant."""

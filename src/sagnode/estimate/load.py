@@ -259,6 +259,9 @@ def _as_uneven(registered: Registered, each: Doubt, found: Matched | None) -> li
     steps = STAGES[-1].iterations
     asked = (each.survey, each.even.solution.theta, registered.camera, found.offsets, steps)
     simple = settled(*asked) or solve(*asked)
+    if not np.isfinite(simple.misfit):
+        # no even curve comes near what was followed, and how much likelier than none that is cannot be told
+        return each.as_uneven() or [explanation(0.0, *found.swing, each.swing_u)]
     odds = log_odds(found.solution, found.survey, simple, each.survey)
     by_following = explanation(odds, *found.swing, each.swing_u)
     return [by_following] if odds > 0 else [*each.as_uneven(), by_following]
