@@ -96,3 +96,36 @@ def test_what_cannot_be_opened_or_written_is_named(
         file.unlink()
     assert main(["capture", "--config", str(node), "--out", str(tmp_path / "o")]) == 1
     assert "no pictures" in capsys.readouterr().err
+
+
+def test_the_boards_pictures_can_be_taken_before_there_is_a_calibration(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """What 'config init' writes, with a camera put into it: neither lens file nor reference picture is there."""
+    site = tmp_path / "my-span"
+    assert main(["config", "init", "--out", str(site)]) == 0
+    (site / "boards-seen").mkdir()
+    for i in range(3):
+        cv2.imwrite(str(site / "boards-seen" / f"{i}.png"), np.full((24, 32), 40 + i, np.uint8))
+    node = site / "node.toml"
+    text = node.read_text().replace('backend = "picamera2"', 'backend = "replay"\nreplay = { path = "boards-seen" }')
+    node.write_text(text)
+    (site / "span.toml").unlink()
+    capsys.readouterr()
+    out = tmp_path / "boards"
+    assert main(["capture", "--config", str(site), "--out", str(out), "--count", "3"]) == 0
+    assert len(capsys.readouterr().out.splitlines()) == len(list(out.glob("*.png"))) == 3
+
+
+def test_a_fault_of_the_camera_alone_stops_it(node: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["--out", str(tmp_path / "o")]
+    node.write_text(NODE.replace("interval_s = 60", "interval_s = -1").replace('unit = "n1"', ""))
+    assert main(["capture", "--config", str(node), *words]) == 0
+    node.write_text(NODE.replace('backend = "replay"', 'backend = "replya"'))
+    assert main(["capture", "--config", str(node), *words]) == 2
+    assert f"{node}:10: camera.backend" in capsys.readouterr().err
+    node.write_text(NODE.replace("[camera]", "[cmaera]"))
+    assert main(["capture", "--config", str(node), *words]) == 2
+    assert "camera: is missing" in capsys.readouterr().err
+    assert main(["capture", "--config", str(tmp_path / "span.toml"), *words]) == 2
+    assert "is a span file" in capsys.readouterr().err

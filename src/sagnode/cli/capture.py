@@ -16,8 +16,9 @@ from sagnode.errors import ConfigError, EndOfFrames, FrameError
 if TYPE_CHECKING:
     from sagnode.capture.port import Frame
 
-DESCRIPTION = """Take pictures with the configured camera, as PNG with time and camera settings beside each. The
-service must not have the camera open meanwhile: systemctl stop sagnode."""
+DESCRIPTION = """Take pictures with the configured camera, as PNG with time and camera settings beside each. Only
+the node file's table [camera] has to be in order; survey and calibration may follow. The service must not have the
+camera open meanwhile: systemctl stop sagnode."""
 EPILOG = "exit codes: 0 all taken, 1 the camera failed, 2 usage or bad configuration"
 
 
@@ -36,9 +37,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Open the camera, take the pictures one by one, and write each before the next."""
     from sagnode.capture import open_source
-    from sagnode.config.load import load_node
+    from sagnode.config.load import load_camera
 
-    camera = load_node(configuration(args.config)).node.camera
+    camera = load_camera(configuration(args.config))
     try:
         args.out.mkdir(parents=True, exist_ok=True)
     except OSError as error:

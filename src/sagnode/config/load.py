@@ -16,6 +16,7 @@ from typing import Any
 
 from sagnode.config import node as node_model
 from sagnode.config import span as span_model
+from sagnode.config.base import Model
 from sagnode.config.document import Document, read_document, read_file, salvage, salvage_list, validate
 from sagnode.config.faults import Fault, Unreadable
 from sagnode.config.node import Node
@@ -119,11 +120,36 @@ def load_node(path: Path) -> LoadedNode:
     if isinstance(examined.loaded, LoadedNode):
         return examined.loaded
     if isinstance(examined.loaded, LoadedSpan):
-        raise ConfigError(
-            f"{path} is a span file, and this needs the node file that names it",
-            f"give the path of a file with [unit], span_file, [camera] and [schedule]; {_INIT}",
-        )
+        raise _no_node_file(path)
     raise refusal(path, examined.faults)
+
+
+class _CameraAlone(Model):
+    """Of a node file what a picture takes."""
+
+    camera: node_model.Camera
+
+
+def load_camera(path: Path) -> node_model.Camera:
+    """The ``[camera]`` of a node file, its files as absolute paths; nothing else of it need be there or in order.
+
+    The first pictures, those of the calibration's board, are taken before there is a lens file or a survey.
+
+    Args:
+        path: the node file, or a directory that holds ``node.toml``.
+
+    Raises:
+        ConfigError: with every fault of that table.
+    """
+    document = read_document(file_in(path, NODE_FILE, SPAN_FILE))
+    if document.data is not None:
+        if is_span(document.data):
+            raise _no_node_file(path)
+        document.data = {key: value for key, value in document.data.items() if key == "camera"}
+    alone = validate(document, _CameraAlone, lambda _: ())
+    if alone is None:
+        raise refusal(path, document.faults)
+    return _resolved_camera(alone.camera, document.path.parent)
 
 
 def load_span(path: Path) -> LoadedSpan:
@@ -192,6 +218,13 @@ def refusal(path: Path, faults: Iterable[Fault]) -> ConfigError:
         return ConfigError(sentences[0], f"check the path and who may read it; {_INIT}", sentences)
     what = sentences[0] if len(sentences) == 1 else f"{len(sentences)} faults in the configuration {path}"
     return ConfigError(what, f"mend this, then look again with: sagnode config check --config {path}", sentences)
+
+
+def _no_node_file(path: Path) -> ConfigError:
+    return ConfigError(
+        f"{path} is a span file, and this needs the node file that names it",
+        f"give the path of a file with [unit], span_file, [camera] and [schedule]; {_INIT}",
+    )
 
 
 def file_in(path: Path, *names: str) -> Path:
@@ -279,10 +312,7 @@ def resolved_span(span: Span, base: Path) -> Span:
 
 
 def _resolved_node(node: Node, base: Path) -> Node:
-    camera = node.camera
-    if camera.replay is not None:
-        replay = camera.replay.model_copy(update={"path": str(base / camera.replay.path)})
-        camera = camera.model_copy(update={"replay": replay})
+    camera = _resolved_camera(node.camera, base)
     storage = node.storage
     if storage.state_dir is not None:
         storage = storage.model_copy(update={"state_dir": base / storage.state_dir})
@@ -296,6 +326,13 @@ def _resolved_node(node: Node, base: Path) -> Node:
         mqtt = mqtt.model_copy(update={"tls": tls, "password_file": password_file})
     update = {"span_file": base / node.span_file, "camera": camera, "storage": storage, "mqtt": mqtt}
     return node.model_copy(update=update)
+
+
+def _resolved_camera(camera: node_model.Camera, base: Path) -> node_model.Camera:
+    if camera.replay is None:
+        return camera
+    replay = camera.replay.model_copy(update={"path": str(base / camera.replay.path)})
+    return camera.model_copy(update={"replay": replay})
 
 
 def _secret(name: Path, base: Path) -> Path:
