@@ -17,18 +17,27 @@ CONFIGS = Path(__file__).parents[2] / "configs"
 FIELD_CAMERA = CONFIGS / "field-110kv" / "camera.yaml"
 
 
-def test_init_writes_files_that_lack_the_calibration_only(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_init_writes_files_that_lack_the_calibration_and_the_clicks_only(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     out = tmp_path / "new"
     assert main(["config", "init", "--out", str(out)]) == 0
     assert "sagnode config check --config" in capsys.readouterr().out
     assert main(["config", "check", "--config", str(out)]) == 2
     said = capsys.readouterr().out
-    assert said.count("fault:") == 1
+    assert said.count("fault:") == 5
     assert "camera.yaml; make it with: sagnode calibrate" in said
+    assert said.count(".pixel: is missing") == 4
     text = FIELD_CAMERA.read_text().replace("4056", "1456").replace("3040", "1088")
     text = text.replace("15300.0", "1739.0").replace("2027.5", "727.5").replace("1519.5", "543.5")
     (out / "camera.yaml").write_text(text)
+    span = out / "span.toml"
+    span.write_text(span.read_text().replace("# pixel = ", "pixel = "))
     assert main(["config", "check", "--config", str(out)]) == 0
+    said = capsys.readouterr().out
+    # the clicks that stand there commented out are where the example's camera sees the example's landmarks
+    assert [line for line in said.splitlines() if "landmarks[" in line] == []
+    assert "without a reference_image" in said
 
 
 def test_init_does_not_write_over_anything_unless_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

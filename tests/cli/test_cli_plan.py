@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -112,6 +113,32 @@ def test_a_view_in_which_nothing_is_seen_exits_with_1(tmp_path: Path, capsys: Ca
     code, out, _ = plan(capsys, "--config", write(tmp_path, document))
     assert code == 1
     assert "refused (no-conductor)" in out
+
+
+def test_a_change_that_leaves_a_conductor_refused_is_told_with_that(tmp_path: Path, capsys: Capture) -> None:
+    """The example survey without its landmarks: what helps most does not help enough, and is what has to be known."""
+    main(["config", "init", "--out", str(tmp_path)])
+    text = (tmp_path / "span.toml").read_text()
+    first, last = text.index("[[landmarks]]"), text.index("# [swing]")
+    (tmp_path / "span.toml").write_text(text[:first] + text[last:])
+    words = ("--sensor", "imx296", "--focal", "6", "--backdrop", "country")
+    code, out, _ = plan(capsys, "--config", tmp_path, *words)
+    assert code == 1
+    assert "  0 landmarks in view" in out
+    told = out[out.index("First of all: survey landmarks") :].splitlines()
+    rows = [line for line in told if line.endswith(" %")]
+    assert rows[0].startswith("  eight landmarks more")
+    assert "(still refused: uncertain)" in rows[0]
+    assert int(re.findall(r"-(\d+) %", rows[0])[0]) > 30
+
+
+def test_the_examples_own_survey_has_landmarks_to_plan_with(tmp_path: Path, capsys: Capture) -> None:
+    main(["config", "init", "--out", str(tmp_path)])
+    code, out, _ = plan(capsys, "--config", tmp_path, "--sensor", "imx296", "--focal", "6")
+    assert code == 1
+    assert "landmarks[3].pixel: not clicked yet" in out
+    assert "  4 landmarks in view (T2-peak, T2-leg, barn-roof, pole-top)" in out
+    assert "First of all" not in out
 
 
 @pytest.mark.parametrize(

@@ -66,7 +66,8 @@ def _init(directory: Path, force: bool) -> int:
     except OSError as error:
         what = f"cannot write {error.filename or directory}: {error.strerror}"
         raise SagnodeError(what, "choose another directory with --out") from None
-    print("Fill in both, put the camera's calibration beside them (sagnode calibrate), then look them over:")
+    print("Fill in both, put the camera's calibration beside them (sagnode calibrate), click the landmarks in a")
+    print("picture of it (sagnode capture), then look them over:")
     print(f"  sagnode config check --config {directory / 'node.toml'}")
     return 0
 

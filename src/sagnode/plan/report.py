@@ -32,6 +32,7 @@ def study_text(study: Study, look: Look) -> str:
     lines += ["", *_columns(rows), ""]
     lines += _remarks(study)
     lines += _most_from(study.weakest)
+    lines += _first_of_all(study)
     lines += _improvements(study)
     return "\n".join(lines)
 
@@ -216,6 +217,13 @@ def _most_from(one: Foreseen) -> list[str]:
         if parts:
             lines.append(f"u({stem}) of {one.conductor} (middle) by source, mm: {', '.join(parts)}")
     return lines
+
+
+def _first_of_all(study: Study) -> list[str]:
+    """What comes before every other improvement: without landmarks no reading notices that the camera has moved."""
+    if study.site.landmark_ids:
+        return []
+    return ["", "First of all: survey landmarks that this camera sees; four at least, eight are good, near and far."]
 
 
 def _improvements(study: Study) -> list[str]:

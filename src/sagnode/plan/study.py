@@ -14,7 +14,7 @@ from sagnode.plan.camera import PlannedCamera, placed, planned_site
 from sagnode.plan.foresee import LEVELS, Foreseen, foresee, states_at, worst
 from sagnode.plan.frame import Look
 from sagnode.plan.improve import Gain, gains
-from sagnode.quality import Validity
+from sagnode.quality import Cause, Validity
 from sagnode.scene.spec import SpanFrame, survey_pose
 from sagnode.site import Site
 
@@ -119,13 +119,20 @@ def _more_landmarks(span: Span, camera: PlannedCamera) -> Span:
 
 
 def _tried(what: str, span: Span, camera: PlannedCamera, look: Look, weakest: Foreseen) -> Iterator[Gain]:
-    """What a change does that has to be planned anew; nothing where the node would refuse."""
+    """What a change does that has to be planned anew; nothing where there is nothing to compare with.
+
+    A change after which the node would still refuse the conductor as too uncertain helps all the same, and is told with
+    that. Where it would refuse it for anything else, the numbers might be of another curve, and no gain is told.
+    """
     if not weakest.estimates:
         return
     (row,) = compare(span, [camera], look)
     one = next(f for f in row.foreseen if f.conductor == weakest.conductor)
-    if one.validity is Validity.INVALID:
-        return
-    after, before = ([f.estimates[stem].u for stem in ("sag", "clearance")] for f in (one, weakest))
-    doubt = f" (doubtful: {', '.join(r.cause for r in one.reasons)})" if one.reasons else ""
-    yield Gain(what + doubt, *after, *(1 - a / b for a, b in zip(after, before, strict=True)))
+    causes = ", ".join(dict.fromkeys(str(reason.cause) for reason in one.reasons))
+    words = {Validity.GOOD: "", Validity.QUESTIONABLE: f" (doubtful: {causes})"}
+    comparable = one.validity is not Validity.INVALID or all(r.cause is Cause.UNCERTAIN for r in one.reasons)
+    after, before = (
+        [f.estimates[stem].u for stem in ("sag", "clearance")] for f in (one if comparable else weakest, weakest)
+    )
+    shares = (1 - a / b for a, b in zip(after, before, strict=True))
+    yield Gain(what + words.get(one.validity, f" (still refused: {causes})"), *after, *shares)
