@@ -115,6 +115,24 @@ def test_a_view_in_which_nothing_is_seen_exits_with_1(tmp_path: Path, capsys: Ca
     assert "refused (no-conductor)" in out
 
 
+def test_a_camera_that_is_turned_is_told_with_the_surveyed_direction(
+    span_file: Path, tmp_path: Path, capsys: Capture
+) -> None:
+    surveyed, away = tables(), tables()
+    away["camera"] |= {"azimuth_deg": 70.0, "elevation_deg": 2.5}
+    kept, turned = tmp_path / "kept.png", tmp_path / "turned.png"
+    _, out, _ = plan(capsys, "--config", span_file, *LENS, "--picture", kept)
+    assert f"azimuth {surveyed['camera']['azimuth_deg']:.1f}°" in out
+    assert "turned from" not in out
+    file = write(tmp_path, away)
+    _, out, _ = plan(capsys, "--config", file, *LENS, "--picture", turned)
+    assert out.count("\n  turned from the surveyed azimuth 70.0°, elevation 2.5°, which shows less\n") == 1
+    assert cv2.imread(str(turned)).shape[0] == cv2.imread(str(kept)).shape[0] + 22, "a line more in the legend"
+    _, out, _ = plan(capsys, "--config", file, "--sensor", SENSOR, "--focal", "2.5", "2", "--json")
+    rows = json.loads(out)["table"]
+    assert [row["camera"]["turned_from"] for row in rows] == [{"azimuth_deg": 70.0, "elevation_deg": 2.5}] * 2
+
+
 def test_a_change_that_leaves_a_conductor_refused_is_told_with_that(tmp_path: Path, capsys: Capture) -> None:
     """The example survey without its landmarks: what helps most does not help enough, and is what has to be known."""
     main(["config", "init", "--out", str(tmp_path)])

@@ -47,8 +47,12 @@ def test_a_camera_is_turned_to_where_the_span_is_seen() -> None:
 
 def test_a_wanted_direction_is_kept_where_it_shows_nearly_as_much() -> None:
     span, camera = simple_span()
-    assert aimed(span, camera, (1.0, 2.0)).azimuth_deg == 1.0
-    assert aimed(span, camera, (90.0, 2.0)).azimuth_deg == pytest.approx(0.0, abs=15.0)
+    kept = aimed(span, camera, (1.0, 2.0))
+    assert (kept.azimuth_deg, kept.turned_from) == (1.0, None)
+    turned = aimed(span, camera, (90.0, 2.0))
+    assert turned.azimuth_deg == pytest.approx(0.0, abs=15.0)
+    assert turned.turned_from == (90.0, 2.0)
+    assert aimed(span, turned).turned_from is None
 
 
 def test_places_of_a_grid_count_along_the_span_to_its_right_and_up_from_the_ground() -> None:

@@ -23,6 +23,8 @@ class PlannedCamera:
     roll_deg: float = 0.0
     focal_mm: float | None = None
     """As the lens is sold; None for the calibrated one."""
+    turned_from: tuple[float, float] | None = None
+    """Azimuth and elevation that were surveyed, degrees, where another direction is planned with, which shows more."""
 
     @property
     def field_deg(self) -> tuple[float, float]:

@@ -12,7 +12,7 @@ from sagnode.geometry.camera import FloatArray, Intrinsics, Pose, inside, projec
 from sagnode.geometry.conductor import conductor_points
 from sagnode.overlay import ColourImage, draw_runs
 from sagnode.plan.foresee import LEVELS, states_at
-from sagnode.plan.report import VERDICTS, camera_text, millimetres
+from sagnode.plan.report import VERDICTS, camera_text, millimetres, turned_text
 from sagnode.plan.study import Study
 from sagnode.scene.spec import SpanFrame
 
@@ -65,7 +65,8 @@ def _draw_ground(sheet: _Sheet, span: Span) -> None:
 
 
 def _legend(study: Study) -> list[str]:
-    lines = [camera_text(study.camera)]
+    turned = study.camera.turned_from
+    lines = [camera_text(study.camera), *([] if turned is None else [turned_text(turned)])]
     for one in study.levels["middle"]:
         u = ", ".join(
             f"u({stem}) {millimetres(one.estimates[stem].u)} mm" for stem in ("sag", "clearance") if one.estimates

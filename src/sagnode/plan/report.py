@@ -23,6 +23,8 @@ def study_text(study: Study, look: Look) -> str:
     """One camera in full."""
     site = study.site
     lines = [camera_text(study.camera)]
+    if study.camera.turned_from is not None:
+        lines.append(f"  {turned_text(study.camera.turned_from)}")
     marks = f"{len(site.landmark_ids)} landmarks in view" + (f" ({', '.join(site.landmark_ids)})" * bool(site.patches))
     lines.append(f"  {marks}")
     lines.append(f"  assumed: {look}")
@@ -51,7 +53,7 @@ def table_text(rows: Sequence[Row]) -> str:
                 _point(camera.position),
                 _lens(camera),
                 f"{camera.field_deg[0]:.0f}° x {camera.field_deg[1]:.0f}°",
-                f"{camera.azimuth_deg:.1f}°, {camera.elevation_deg:.1f}°",
+                f"{camera.azimuth_deg:.1f}°, {camera.elevation_deg:.1f}°{' (turned)' * bool(camera.turned_from)}",
                 str(row.landmarks),
                 f"{100 * share:.0f} %",
                 "-" if thinnest is None else f"{thinnest:.2f}",
@@ -65,6 +67,8 @@ def table_text(rows: Sequence[Row]) -> str:
     note = (
         "Every conductor in the middle of its possible sags; the line tells of the weakest conductor, the least share"
         " of a span in view and the thinnest end of a wire."
+        + " Turned: another direction than the surveyed one, which shows less."
+        * any(r.camera.turned_from for r in rows)
     )
     return "\n".join([*_columns(cells), note])
 
@@ -72,11 +76,16 @@ def table_text(rows: Sequence[Row]) -> str:
 def camera_text(camera: PlannedCamera) -> str:
     """Place, direction and lens in one line."""
     lens = camera.intrinsics
-    direction = f"azimuth {camera.azimuth_deg:.1f}°, elevation {camera.elevation_deg:.1f}°"
+    direction = _angles(camera.azimuth_deg, camera.elevation_deg)
     return (
         f"camera at {_point(camera.position)}, {direction};"
         f" {lens.width}x{lens.height} px, {_lens(camera)}, {camera.field_deg[0]:.0f}° x {camera.field_deg[1]:.0f}°"
     )
+
+
+def turned_text(surveyed: tuple[float, float]) -> str:
+    """That the camera was turned, from which azimuth and elevation in degrees."""
+    return f"turned from the surveyed {_angles(*surveyed)}, which shows less"
 
 
 def dominant(one: Foreseen, stem: str) -> str | None:
@@ -121,11 +130,13 @@ def camera_document(camera: PlannedCamera) -> dict[str, Any]:
     """A camera, ready for JSON."""
     lens = camera.intrinsics
     width, height = camera.field_deg
+    turned = camera.turned_from
     return {
         "position": list(camera.position),
         "azimuth_deg": camera.azimuth_deg,
         "elevation_deg": camera.elevation_deg,
         "roll_deg": camera.roll_deg,
+        "turned_from": None if turned is None else {"azimuth_deg": turned[0], "elevation_deg": turned[1]},
         "width_px": lens.width,
         "height_px": lens.height,
         "focal_px": lens.fx,
@@ -271,6 +282,10 @@ def millimetres(metres: float) -> str:
 
 def _point(position: tuple[float, float, float]) -> str:
     return "(" + ", ".join(f"{x:.2f}" for x in position) + ")"
+
+
+def _angles(azimuth_deg: float, elevation_deg: float) -> str:
+    return f"azimuth {azimuth_deg:.1f}°, elevation {elevation_deg:.1f}°"
 
 
 def _lens(camera: PlannedCamera) -> str:

@@ -92,8 +92,9 @@ def best(rows: Iterable[Row]) -> Row:
 
 def aimed(span: Span, camera: PlannedCamera, wanted: Angles | None = None) -> PlannedCamera:
     """The camera turned to where it sees most of the span, level; ``wanted`` is kept where it is nearly as good."""
-    azimuth, elevation = best_aim(span, np.array(camera.position), camera.intrinsics, wanted)
-    return replace(camera, azimuth_deg=azimuth, elevation_deg=elevation, roll_deg=0.0)
+    angles = best_aim(span, np.array(camera.position), camera.intrinsics, wanted)
+    turned_from = None if angles == wanted else wanted
+    return replace(camera, azimuth_deg=angles[0], elevation_deg=angles[1], roll_deg=0.0, turned_from=turned_from)
 
 
 def _longer_lens(span: Span, camera: PlannedCamera) -> PlannedCamera:
