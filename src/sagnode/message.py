@@ -12,6 +12,7 @@ from typing import Any, Literal, NamedTuple
 
 from pydantic import AwareDatetime, BaseModel, ConfigDict, Field, create_model
 
+from sagnode.digits import decimals
 from sagnode.quality import Cause, DetailQual, LensLook, Reason, Validity
 
 
@@ -71,6 +72,11 @@ class Estimate(NamedTuple):
     u: float
     lo: float
     hi: float
+
+    @property
+    def decimals(self) -> int:
+        """With how many decimals value and interval, lengths in metres, are written."""
+        return decimals(self.hi - self.lo)
 
 
 FORM = "name and version of the message's form"

@@ -95,7 +95,8 @@ def _draw_conductor(
         clearance = measurement.estimates.get("clearance")
         if clearance is not None:
             middle = ((top[0] + foot[0]) // 2 + 6, (top[1] + foot[1]) // 2)
-            _text(canvas, f"{measurement.conductor} {clearance.value:.2f} m", middle, colour, scale)
+            text = f"{measurement.conductor} {clearance.value:.{clearance.decimals}f} m"
+            _text(canvas, text, middle, colour, scale)
 
 
 def _draw_landmarks(canvas: ColourImage, drawing: Drawing, scale: float) -> None:
@@ -109,10 +110,11 @@ def _draw_landmarks(canvas: ColourImage, drawing: Drawing, scale: float) -> None
             cv2.circle(canvas, where, size // 2, _LANDMARK, 1, cv2.LINE_AA)
 
 
-def _interval(estimate: Estimate | None, unit: str) -> str:
+def _interval(estimate: Estimate | None) -> str:
     if estimate is None:
         return "-"
-    return f"{estimate.value:.2f} [{estimate.lo:.2f} {estimate.hi:.2f}] {unit}"
+    digits = estimate.decimals
+    return f"{estimate.value:.{digits}f} [{estimate.lo:.{digits}f} {estimate.hi:.{digits}f}] m"
 
 
 def _legend(canvas: ColourImage, measurements: Sequence[FrameMeasurement], scale: float) -> None:
@@ -124,11 +126,13 @@ def _legend(canvas: ColourImage, measurements: Sequence[FrameMeasurement], scale
     y = canvas.shape[0] - height + line
     for colour, m in zip(_colours(len(measurements)), measurements, strict=True):
         if m.estimates:
-            where = m.estimates.get("clearance_along")
-            place = "" if where is None else f" at {where.value:.0f} m"
+            clearance, where = m.estimates.get("clearance"), m.estimates.get("clearance_along")
+            place = ""
+            if clearance is not None and where is not None:
+                place = f" at {where.value:.{max(0, clearance.decimals - 2)}f} m"
             text = (
-                f"{m.conductor}: sag {_interval(m.estimates.get('sag'), 'm')}"
-                f"  clearance {_interval(m.estimates.get('clearance'), 'm')}{place}  {m.validity}"
+                f"{m.conductor}: sag {_interval(m.estimates.get('sag'))}"
+                f"  clearance {_interval(clearance)}{place}  {m.validity}"
             )
         else:
             text = f"{m.conductor}: {m.validity} ({', '.join(reason.cause for reason in m.reasons)})"

@@ -136,6 +136,26 @@ def test_overlays_are_drawn_and_equal_names_do_not_collide(lab: Path, tmp_path: 
     assert (picture[..., 1].astype(int) - picture[..., 0] > 60).any()  # a coloured curve on the grey picture
 
 
+def test_the_overlay_tells_a_model_in_as_many_digits_as_the_terminal(
+    lab: Path, tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    written: list[str] = []
+    draw = cv2.putText
+
+    def note(canvas: Any, text: str, *more: Any) -> Any:
+        written.append(text)
+        return draw(canvas, text, *more)
+
+    monkeypatch.setattr(cv2, "putText", note)
+    _, readings = measure(lab, capsys, frames(lab)[0], "--overlay", tmp_path / "drawn")
+    for r in readings:
+        sag = f"sag {r['sag_m']:.4f} [{r['sag_lo']:.4f} {r['sag_hi']:.4f}] m"
+        (line,) = {text for text in written if text.startswith(f"{r['conductor']}: ")}
+        assert line.startswith(f"{r['conductor']}: {sag}  clearance {r['clearance_m']:.4f} [")
+        assert line.endswith(f" at {r['clearance_along_m']:.2f} m  good")
+        assert f"{r['conductor']} {r['clearance_m']:.4f} m" in written
+
+
 def test_distortion_can_be_left_out_and_matters(lab: Path, capsys: Capture) -> None:
     _, (with_it, *_) = measure(lab, capsys, frames(lab)[0])
     _, (without, *_) = measure(lab, capsys, frames(lab)[0], "--no-undistort")

@@ -103,6 +103,12 @@ def test_all_is_well(node, capsys):
     assert said.splitlines()[-1] == "fine"
 
 
+def test_a_models_lengths_are_told_to_a_tenth_of_a_millimetre(node, capsys):
+    small = reading(sag_m=0.0904, sag_lo=0.0895, sag_hi=0.0913, clearance_m=0.18, clearance_lo=0.17, clearance_hi=0.19)
+    assert main(["status", "--state-dir", str(node(readings={"L1": small}))]) == 0
+    assert "L1  sag 0.0904 [0.0895 0.0913] m  clearance 0.180 [0.170 0.190] m" in capsys.readouterr().out
+
+
 @pytest.mark.parametrize(
     ("fields", "problem"),
     [

@@ -81,7 +81,17 @@ def test_clearance_is_held_against_its_limit_by_the_lower_end_of_its_interval(be
     assert (alarm.value, alarm.lo, alarm.hi, alarm.limit) == (6.06, pytest.approx(5.96), pytest.approx(6.16), 6.0)
     assert alarm.worst == pytest.approx(5.96)
     assert alarm.since == START + timedelta(minutes=20)  # the first reading that showed it, not the one that raised it
-    assert "[5.96 .. 6.16], limit 6 m" in alarm.text
+    assert alarm.text == "clearance 6.06 m [5.96 .. 6.16], limit 6 m"
+
+
+def test_a_models_alarm_is_told_to_a_tenth_of_a_millimetre(tmp_path):
+    """In the laboratory 0.09 m of sag is known to 1 mm; with two decimals both ends would be the value."""
+    limits = SPAN.limits.model_copy(update={"clearance_min_m": 0.2, "sag_max_m": 0.09})
+    bench = Bench(tmp_path, SPAN.model_copy(update={"limits": limits}))
+    for _ in range(2):
+        bench.read(clearance=0.18012, sag=0.09512, u=0.0009)
+    assert bench.alarm("clearance").text == "clearance 0.1801 m [0.1783 .. 0.1819], limit 0.2 m"
+    assert bench.alarm("sag").text == "sag 0.0951 m [0.0933 .. 0.0969], limit 0.09 m"
 
 
 def test_it_takes_two_readings_in_a_row_to_raise_and_three_beyond_the_margin_to_clear(bench):

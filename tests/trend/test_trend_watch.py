@@ -67,7 +67,7 @@ def test_a_marked_reading_is_questionable_and_keeps_every_number():
     assert wrong.quality.validity is Validity.QUESTIONABLE
     assert wrong.quality.detail_qual == (DetailQual.INCONSISTENT,)
     text = wrong.quality.reasons[0].text
-    assert "8.90 m after 8.30 m 5 min ago" in text
+    assert "8.900 m after 8.300 m 5 min ago" in text
     assert "while the others changed by +0, +0 K" in text
     for before, after in zip(given, judged, strict=True):
         assert before.model_dump(exclude={"quality"}) == after.model_dump(exclude={"quality"})
@@ -128,7 +128,7 @@ def test_a_slipped_clamp_is_marked_for_half_an_hour_then_taken_as_real_and_told_
     assert flags == [True] * 6 + [False] * 9  # 5 to 30 min marked; the reading at 35 min has lasted 30
     told = [r.message for r in caplog.records if "taken as real" in r.message]
     assert len(told) == 1
-    assert "was 8.00 m" in told[0]
+    assert "was 8.000 m" in told[0]
     assert "taken as real" in trend.state
     trend.judge(burst(75 + 24 * 60, L1=9.8, **others))
     assert trend.state == "ok"

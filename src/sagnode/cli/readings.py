@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -71,7 +70,7 @@ def sag_text(sag: Estimate | None) -> str:
     if sag is None:
         return "-"
     half = max(sag.hi - sag.value, sag.value - sag.lo)
-    digits = decimals(half)
+    digits = sag.decimals
     return f"{sag.value:.{digits}f} ± {half:.{digits}f} m"
 
 
@@ -80,18 +79,9 @@ def clearance_text(estimates: dict[str, Estimate]) -> str:
     clearance, along = estimates.get("clearance"), estimates.get("clearance_along")
     if clearance is None:
         return "-"
-    digits = decimals(clearance.hi - clearance.lo)
+    digits = clearance.decimals
     text = f"{clearance.value:.{digits}f} [{clearance.lo:.{digits}f}, {clearance.hi:.{digits}f}] m"
     return f"{text} at {along.value:.{max(0, digits - 2)}f} m" if along else text
-
-
-def decimals(width: float) -> int:
-    """Decimals that give an interval's width two significant digits: at least centimetres, at most 0.1 mm.
-
-    >>> decimals(0.03), decimals(1.5), decimals(0.0)
-    (3, 2, 4)
-    """
-    return 4 if width <= 0 else min(4, max(2, 1 - math.floor(math.log10(width))))
 
 
 def _budget_lines(measurement: ConductorMeasurement) -> list[str]:

@@ -12,6 +12,7 @@ from typing import Any
 
 from sagnode.daemon.journal_reader import Rows, Wanted
 from sagnode.daemon.places import JOURNAL
+from sagnode.digits import decimals
 from sagnode.errors import SagnodeError
 from sagnode.message import ReadingHeader
 
@@ -109,5 +110,6 @@ def _difference(now: dict[str, Any], before: dict[str, Any]) -> str:
     for field in ("sag", "clearance"):
         value, then, u = now.get(f"{field}_m"), before.get(f"{field}_m"), now.get(f"{field}_u")
         if value is not None and then is not None and u is not None and abs(value - then) > u:
-            return f"{field} {then:.3f} m became {value:.3f} m (u {u:.3f} m)"
+            digits = decimals(u)
+            return f"{field} {then:.{digits}f} m became {value:.{digits}f} m (u {u:.{digits}f} m)"
     return ""

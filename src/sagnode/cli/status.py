@@ -17,6 +17,7 @@ from typing import Any
 
 from sagnode.daemon.places import configured_state_dir, usual_state_dir
 from sagnode.daemon.report import duration, examine, moment
+from sagnode.digits import decimals
 from sagnode.errors import ConfigError
 
 DESCRIPTION = """Tell what the node is doing: last readings, camera, broker, disk, clock. Answers also when the daemon
@@ -171,7 +172,10 @@ def _landmarks(page: dict[str, Any]) -> str:
 
 def _interval(reading: dict[str, Any], stem: str) -> str:
     value, lo, hi = (reading.get(f"{stem}_{part}") for part in ("m", "lo", "hi"))
-    return "-" if value is None or lo is None or hi is None else f"{value:.2f} [{lo:.2f} {hi:.2f}] m"
+    if value is None or lo is None or hi is None:
+        return "-"
+    digits = decimals(hi - lo)
+    return f"{value:.{digits}f} [{lo:.{digits}f} {hi:.{digits}f}] m"
 
 
 def _bytes(megabytes: float) -> str:

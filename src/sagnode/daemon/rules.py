@@ -78,7 +78,7 @@ class ClearanceRule(Rule):
         if found is None or self.limit is None:
             return NOTHING
         low = found.lo < self.limit + (self.hysteresis if active else 0.0)
-        text = f"clearance {found.value:.2f} m [{found.lo:.2f} .. {found.hi:.2f}], limit {self.limit:g} m"
+        text = f"clearance {_metres(found)}, limit {self.limit:g} m"
         return Evidence(_unless_marked(low, reading), text, found, found.lo)
 
     def worse(self, one: float, other: float) -> bool:
@@ -96,7 +96,7 @@ class SagRule(Rule):
         if found is None or self.limit is None:
             return NOTHING
         high = found.hi > self.limit - (self.hysteresis if active else 0.0)
-        text = f"sag {found.value:.2f} m [{found.lo:.2f} .. {found.hi:.2f}], limit {self.limit:g} m"
+        text = f"sag {_metres(found)}, limit {self.limit:g} m"
         return Evidence(_unless_marked(high, reading), text, found, found.hi)
 
 
@@ -165,6 +165,12 @@ class StaleRule(Rule):
             return Evidence(False)
         text = f"no reading with a number since {since:%Y-%m-%d %H:%M} UTC (limit {self.limit / 60:.0f} min)"
         return Evidence(True, text, None, age_s, since)
+
+
+def _metres(found: Estimate) -> str:
+    """``9.00 m [8.90 .. 9.10]``, with as many decimals as the interval has a use for."""
+    digits = found.decimals
+    return f"{found.value:.{digits}f} m [{found.lo:.{digits}f} .. {found.hi:.{digits}f}]"
 
 
 def _unless_marked(shows: bool, reading: ReadingHeader) -> bool | None:

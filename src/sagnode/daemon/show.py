@@ -22,6 +22,7 @@ from sagnode.daemon.logs import Seldom
 from sagnode.daemon.machine import ClockTrust, Machine
 from sagnode.daemon.notify import Notifier
 from sagnode.daemon.recorder import Recorder
+from sagnode.digits import decimals
 from sagnode.errors import JournalError
 from sagnode.exchange import AlarmMessage
 from sagnode.message import HealthMessage, Identity, LandmarksMessage, LensMessage, ReadingHeader
@@ -214,8 +215,9 @@ class Showcase:
     def _line(self, health: HealthMessage) -> str:
         words = [f"{self._made} readings, {self._invalid} invalid"]
         for conductor, last in self._last.items():
-            sag = last["sag_m"]
-            words.append(f"{conductor} {sag:.2f} m" if sag is not None else f"{conductor} {last['validity']}")
+            sag, lo, hi = last["sag_m"], last["sag_lo"], last["sag_hi"]
+            told = last["validity"] if sag is None else f"{sag:.{decimals(hi - lo)}f} m"
+            words.append(f"{conductor} {told}")
         if self._link is not None and not self._link.connected:
             words.append(f"broker {health.broker}, {health.outbox_depth} readings wait")
         return "; ".join(words)

@@ -185,9 +185,12 @@ def _print_reading(reading: ReadingHeader) -> None:
         text = "no value"
     else:
         half = max(sag.hi - sag.value, sag.value - sag.lo)
-        text = f"sag {sag.value:6.2f} ± {half:.2f} m"
+        digits = sag.decimals
+        text = f"sag {sag.value:6.{digits}f} ± {half:.{digits}f} m"
         if clearance is not None:
-            text += f"   clearance {clearance.value:6.2f} [{clearance.lo:.2f} .. {clearance.hi:.2f}] m"
+            digits = clearance.decimals
+            lo, hi = f"{clearance.lo:.{digits}f}", f"{clearance.hi:.{digits}f}"
+            text += f"   clearance {clearance.value:6.{digits}f} [{lo} .. {hi}] m"
     print(f"{time_}  {reading.conductor:<4} {text:<62}  {quality.validity}{late}", flush=True)
     if quality.validity is not Validity.GOOD:
         for reason in quality.reasons:

@@ -107,7 +107,8 @@ def _reading(measurement: ConductorMeasurement) -> Finding:
             READING, f"{text} ({why})", "if it is day and clear: sagnode measure --overlay shows what is seen"
         )
     sag = measurement.estimates["sag"]
-    text += f": sag {sag.value:.2f} m [{sag.lo:.2f} {sag.hi:.2f}]"
+    digits = sag.decimals
+    text += f": sag {sag.value:.{digits}f} m [{sag.lo:.{digits}f} {sag.hi:.{digits}f}]"
     return ok(READING, text) if measurement.validity is Validity.GOOD else warning(READING, f"{text} ({why})")
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from sagnode.digits import decimals
 from sagnode.estimate.tell import K95
 from sagnode.measurement import ConductorMeasurement, FrameMeasurement
 from sagnode.message import Estimate
@@ -45,7 +46,7 @@ def _combine(frames: list[FrameMeasurement]) -> ConductorMeasurement:
     random = nearest.budget["sag"].get("pixel noise", 0.0)
     if scatter > max(DISAGREE_Z * random, 0.03) and scatter > nearest.estimates["sag"].u:
         validity = Validity.QUESTIONABLE
-        text = f"sag differs by {scatter:.2f} m (standard deviation) between the frames of the burst"
+        text = f"sag differs by {scatter:.{decimals(scatter)}f} m (standard deviation) between the frames of the burst"
         reasons = (*reasons, Reason(Cause.FRAMES_DISAGREE, text))
     return _measurement(nearest, validity, reasons, estimates, len(kept), len(frames) - len(kept))
 

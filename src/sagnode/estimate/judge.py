@@ -235,7 +235,7 @@ def _not_this_conductor(conductor: SiteConductor, found: Matched, sag: Estimate)
         reasons += [Reason(Cause.AMBIGUOUS, text), *_ice(found)]
     low, high = conductor.survey.sag_range
     if not low - 2 * sag.u <= sag.value <= high + 2 * sag.u:
-        text = f"sag {sag.value:.2f} m is outside the possible {low:g} to {high:g} m of the survey"
+        text = f"sag {sag.value:.{sag.decimals}f} m is outside the possible {low:g} to {high:g} m of the survey"
         reasons.append(Reason(Cause.OUTSIDE_LIMITS, text))
     return reasons
 

@@ -140,7 +140,7 @@ def _foreseen(
     if found is not None:
         sag = estimates["sag"]
         if validity is not Validity.INVALID and abs(sag.value - design["sag"]) > 5 * sag.u:
-            text = f"in the expected frame another curve (sag {sag.value:.2f} m) passes for this conductor"
+            text = f"in the expected frame another curve (sag {sag.value:.{sag.decimals}f} m) passes for this conductor"
             validity, reasons = Validity.INVALID, [*reasons, Reason(Cause.AMBIGUOUS, text)]
     curve = curves[conductor.id]
     others = {name: other for name, other in curves.items() if name != conductor.id}

@@ -12,7 +12,7 @@ from sagnode.geometry.camera import FloatArray, Intrinsics, Pose, inside, projec
 from sagnode.geometry.conductor import conductor_points
 from sagnode.overlay import ColourImage, draw_runs
 from sagnode.plan.foresee import LEVELS, states_at
-from sagnode.plan.report import VERDICTS, camera_text, millimetres, turned_text
+from sagnode.plan.report import VERDICTS, camera_text, metres, millimetres, turned_text
 from sagnode.plan.study import Study
 from sagnode.scene.spec import SpanFrame
 
@@ -72,7 +72,7 @@ def _legend(study: Study) -> list[str]:
             f"u({stem}) {millimetres(one.estimates[stem].u)} mm" for stem in ("sag", "clearance") if one.estimates
         )
         width = "" if one.width_px is None else ", wire " + " ".join(f"{w:.2f}" for w in one.width_px) + " px"
-        text = f"{one.conductor}: sag {one.sag_m:.2f} m, {100 * one.in_view:.0f} % in view{width}"
+        text = f"{one.conductor}: sag {metres(one, one.sag_m)} m, {100 * one.in_view:.0f} % in view{width}"
         lines.append("; ".join(filter(None, [text, VERDICTS[one.validity], u])))
     lines.append("rings: attachments   crosses: landmarks (grey: out of view)   green: ground   red: obstacles")
     return lines

@@ -184,13 +184,12 @@ def half_width(estimate: Estimate) -> float:
 def _conductor_cells(level: str, one: Foreseen) -> tuple[str, ...]:
     sag, clearance = (one.estimates.get(stem) for stem in _STEMS)
     width = "-" if one.width_px is None else " ".join(f"{w:.2f}" for w in one.width_px)
-    digits = 4 if one.sag_m < 1 else 2
     return (
         one.conductor,
-        f"{one.sag_m:.{digits}f} ({level})",
+        f"{metres(one, one.sag_m)} ({level})",
         _mm(sag),
         "-" if sag is None else f"± {millimetres(half_width(sag))}",
-        f"{one.clearance_m:.{digits}f}",
+        metres(one, one.clearance_m),
         _mm(clearance),
         "-" if clearance is None else f"± {millimetres(half_width(clearance))}",
         f"{100 * one.in_view:.0f} %",
@@ -270,13 +269,18 @@ def _mm(estimate: Estimate | None) -> str:
     return "-" if estimate is None else millimetres(estimate.u)
 
 
-def millimetres(metres: float) -> str:
+def metres(one: Foreseen, length_m: float) -> str:
+    """A length that is planned for, such as the conductor's sag; to 0.1 mm in a model."""
+    return f"{length_m:.{4 if one.sag_m < 1 else 2}f}"
+
+
+def millimetres(length_m: float) -> str:
     """A length in mm with two or three digits.
 
     >>> millimetres(0.0217), millimetres(0.0042), millimetres(0.00039)
     ('22', '4.2', '0.39')
     """
-    value = 1000 * metres
+    value = 1000 * length_m
     return f"{value:.{2 if value < 1 else 1 if value < 9.95 else 0}f}"
 
 

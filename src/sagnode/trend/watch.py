@@ -17,7 +17,7 @@ from dataclasses import dataclass, field
 from datetime import datetime, timedelta
 
 from sagnode.config.span import Conductor
-from sagnode.message import QualityMessage, ReadingHeader, ReasonMessage, reading_estimate
+from sagnode.message import Estimate, QualityMessage, ReadingHeader, ReasonMessage, reading_estimate
 from sagnode.quality import DETAIL_QUAL, Cause, Reason, Validity
 from sagnode.trend.heat import EXPANSION_PER_K, SECTION_FACTOR, WEIGHT_OVER_STIFFNESS, HeatScale
 from sagnode.trend.odds import WEIGHTS, Change, odds_of_mistake
@@ -70,12 +70,17 @@ class Watched:
 class Level:
     """One believable reading: its equivalent temperature, and when."""
 
-    sag_m: float
+    sag: Estimate
     kelvin: float
     u: float
     at: datetime
     boot_id: str
     monotonic_s: float
+
+    @property
+    def sag_text(self) -> str:
+        """As it is written: with as many decimals as its interval has a use for."""
+        return f"{self.sag.value:.{self.sag.decimals}f} m"
 
     def seconds_since(self, earlier: Level) -> float:
         """Time since an earlier one; the longer of the two clocks' answers, since a longer time forgives more."""
@@ -173,7 +178,7 @@ class Trend:
         newest = past.believed[-1]
         if len(agreeing) + 1 >= ACCEPT_COUNT and level.seconds_since(agreeing[0]) >= self.accept_after_s:
             text = (
-                f"{conductor}: sag is {level.sag_m:.2f} m and was {newest.sag_m:.2f} m; no heat explains that, but it"
+                f"{conductor}: sag is {level.sag_text} and was {newest.sag_text}; no heat explains that, but it"
                 " has lasted, and is taken as real from here on: look at clamps, ice and trees"
             )
             log.warning("%s", text)
@@ -211,7 +216,7 @@ class Trend:
         level, newest = levels[conductor], self._pasts[conductor].believed[-1]
         change = level.since(newest)
         text = (
-            f"sag {level.sag_m:.2f} m after {newest.sag_m:.2f} m {_time_text(change.after_s)} ago:"
+            f"sag {level.sag_text} after {newest.sag_text} {_time_text(change.after_s)} ago:"
             f" {change.kelvin:+.0f} K of conductor temperature"
         )
         others = self._others_since(conductor, newest, levels)
@@ -232,7 +237,7 @@ class Trend:
         heavier = 1 / max(math.cos(math.radians(swing.value)), 0.1) - 1 if swing is not None else 0.0
         scale = watched.scale
         return Level(
-            sag_m=sag.value,
+            sag=sag,
             kelvin=scale.temperature_k(sag.value),
             u=math.hypot(sag.u * scale.kelvin_per_m(sag.value), scale.stretch_k(sag.value) * heavier),
             at=reading.acquired_at,
