@@ -25,18 +25,62 @@ _SHIFT = 4
 """Fractional bits of OpenCV's drawing coordinates: a sixteenth of a pixel."""
 
 
+_NUDGE_PX = 2
+
+
+class Words:
+    """Keeps words on a drawing apart from each other and from marks."""
+
+    def __init__(self) -> None:
+        self._boxes: list[tuple[int, int, int, int]] = []
+
+    def take(self, left: int, top: int, right: int, bottom: int) -> None:
+        """Keep words away from a box, pixels."""
+        self._boxes.append((left, top, right, bottom))
+
+    def place(self, text: str, at: tuple[int, int], scale: float, lowest: int | None = None) -> tuple[int, int]:
+        """Where to write a text so that it covers none before it: the wanted place, or the next free one.
+
+        Args:
+            text: one line.
+            at: wanted left end of its base line, pixels.
+            scale: of the font.
+            lowest: base line below which there is no room; then places above the wanted one are tried.
+        """
+        (width, height), _ = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, scale, 1)
+        u, v = at
+        gap = max(3, height // 2)
+        while self._covers(u, v - height, u + width, v + gap):
+            v += _NUDGE_PX
+        if lowest is not None and v > lowest:
+            v = min(at[1], lowest)
+            while v > height and self._covers(u, v - height, u + width, v + gap):
+                v -= _NUDGE_PX
+        self.take(u, v - height, u + width, v + gap)
+        return u, v
+
+    def _covers(self, left: int, top: int, right: int, bottom: int) -> bool:
+        return any(left < box[2] and box[0] < right and top < box[3] and box[1] < bottom for box in self._boxes)
+
+
 def draw_overlay(image: GreyImage, measurements: Sequence[FrameMeasurement]) -> ColourImage:
     """The frame in colour with curves, lowest points, clearances with their places, landmarks and a legend."""
     canvas: ColourImage = np.asarray(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR), dtype=np.uint8)
     scale = max(0.45, image.shape[1] / 2400)
+    labels: list[tuple[str, tuple[int, int], tuple[int, int, int]]] = []
+    words = Words()
     for colour, measurement in zip(_colours(len(measurements)), measurements, strict=True):
         drawing = measurement.drawing
         if drawing is not None and measurement.validity is not Validity.INVALID:
-            _draw_conductor(canvas, drawing, colour, measurement, scale)
+            label = _draw_conductor(canvas, drawing, colour, measurement, scale, words)
+            labels += [] if label is None else [(*label, colour)]
     landmarks = next((m.drawing for m in measurements if m.drawing is not None), None)
     if landmarks is not None:
-        _draw_landmarks(canvas, landmarks, scale)
-    _legend(canvas, measurements, scale)
+        _draw_landmarks(canvas, landmarks, scale, words)
+    lowest = canvas.shape[0] - _legend(canvas, measurements, scale) - 4
+    # from the top down, so that a word that gives way stays near its own line
+    for text, at, colour in sorted(labels, key=lambda label: label[1][1]):
+        _text(canvas, text, words.place(text, at, scale, lowest), colour, scale)
     return canvas
 
 
@@ -80,13 +124,16 @@ def _draw_conductor(
     colour: tuple[int, int, int],
     measurement: FrameMeasurement,
     scale: float,
-) -> None:
+    words: Words,
+) -> tuple[str, tuple[int, int]] | None:
+    """Curve, chord, lowest point and clearance; the label of the clearance and where it is wanted, if there is one."""
     _polyline(canvas, drawing.chord, _CHORD)
     _polyline(canvas, drawing.curve, colour)
     radius = max(4, round(9 * scale))
     lowest = _at(drawing.lowest)
     if lowest is not None:
         cv2.drawMarker(canvas, lowest, _LOWEST, cv2.MARKER_DIAMOND, 2 * radius, 1, cv2.LINE_AA)
+        words.take(lowest[0] - radius, lowest[1] - radius, lowest[0] + radius, lowest[1] + radius)
     top, foot = _at(drawing.clearance[0]), _at(drawing.clearance[1])
     if top is not None and foot is not None:
         cv2.line(canvas, top, foot, _CLEARANCE, 1, cv2.LINE_AA)
@@ -96,15 +143,17 @@ def _draw_conductor(
         if clearance is not None:
             middle = ((top[0] + foot[0]) // 2 + 6, (top[1] + foot[1]) // 2)
             text = f"{measurement.conductor} {clearance.value:.{clearance.decimals}f} m"
-            _text(canvas, text, middle, colour, scale)
+            return text, middle
+    return None
 
 
-def _draw_landmarks(canvas: ColourImage, drawing: Drawing, scale: float) -> None:
+def _draw_landmarks(canvas: ColourImage, drawing: Drawing, scale: float, words: Words) -> None:
     size = max(8, round(22 * scale))
     for found, predicted in zip(drawing.landmarks, drawing.predicted, strict=True):
         at = _at(found)
         if at is not None:
             cv2.drawMarker(canvas, at, _LANDMARK, cv2.MARKER_CROSS, size, 1, cv2.LINE_AA)
+            words.take(at[0] - size, at[1] - size, at[0] + size, at[1] + size)
         where = _at(predicted)
         if where is not None:
             cv2.circle(canvas, where, size // 2, _LANDMARK, 1, cv2.LINE_AA)
@@ -117,8 +166,8 @@ def _interval(estimate: Estimate | None) -> str:
     return f"{estimate.value:.{digits}f} [{estimate.lo:.{digits}f} {estimate.hi:.{digits}f}] m"
 
 
-def _legend(canvas: ColourImage, measurements: Sequence[FrameMeasurement], scale: float) -> None:
-    """One line a conductor, and the key of the marks, on a darkened band at the lower edge."""
+def _legend(canvas: ColourImage, measurements: Sequence[FrameMeasurement], scale: float) -> int:
+    """One line a conductor, and the key of the marks, on a darkened band at the lower edge; its height."""
     line = round(34 * scale)
     height = line * (len(measurements) + 1) + round(14 * scale)
     band = canvas[-height:]
@@ -140,3 +189,4 @@ def _legend(canvas: ColourImage, measurements: Sequence[FrameMeasurement], scale
         y += line
     key = "diamond: lowest point   red: least clearance   grey: chord   cross and circle: landmark seen and expected"
     _text(canvas, key, (round(14 * scale), y), (220, 220, 220), 0.8 * scale)
+    return height

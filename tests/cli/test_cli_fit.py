@@ -68,11 +68,18 @@ def test_a_sky_without_wire_is_refused_with_a_reason(tmp_path: Path, capsys: Cap
     assert found["refusal"]["text"]
 
 
-def test_the_overlay_is_drawn(tmp_path: Path, capsys: Capture) -> None:
+def test_the_overlay_is_drawn(tmp_path: Path, capsys: Capture, written: list[Any]) -> None:
     overlay = tmp_path / "deep" / "o.png"
     code, _ = fit(capsys, picture(tmp_path / "a.png"), "40,120", "900,160", "--overlay", str(overlay))
     assert code == 0
     drawn = cv2.imread(str(overlay))
+    rows = [word for word in written if word.text]
+    assert [word.text.split(",")[0].split(";")[0] for word in rows] == [
+        "visible 100%",
+        "the wire is between the two lines",
+    ]
+    assert not rows[0].covers(*rows[1][1:])
+    assert all(word.bottom - word.top >= 9 and word.right < drawn.shape[1] for word in rows)
     assert drawn is not None
     assert drawn.shape == (HEIGHT, WIDTH, 3)
     assert np.ptp(drawn.astype(int), axis=2).max() > 50

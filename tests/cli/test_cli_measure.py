@@ -137,23 +137,31 @@ def test_overlays_are_drawn_and_equal_names_do_not_collide(lab: Path, tmp_path: 
 
 
 def test_the_overlay_tells_a_model_in_as_many_digits_as_the_terminal(
-    lab: Path, tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
+    lab: Path, tmp_path: Path, capsys: Capture, written: list[Any]
 ) -> None:
-    written: list[str] = []
-    draw = cv2.putText
-
-    def note(canvas: Any, text: str, *more: Any) -> Any:
-        written.append(text)
-        return draw(canvas, text, *more)
-
-    monkeypatch.setattr(cv2, "putText", note)
     _, readings = measure(lab, capsys, frames(lab)[0], "--overlay", tmp_path / "drawn")
+    texts = [word.text for word in written]
     for r in readings:
         sag = f"sag {r['sag_m']:.4f} [{r['sag_lo']:.4f} {r['sag_hi']:.4f}] m"
-        (line,) = {text for text in written if text.startswith(f"{r['conductor']}: ")}
+        (line,) = [text for text in texts if text.startswith(f"{r['conductor']}: ")]
         assert line.startswith(f"{r['conductor']}: {sag}  clearance {r['clearance_m']:.4f} [")
         assert line.endswith(f" at {r['clearance_along_m']:.2f} m  good")
-        assert f"{r['conductor']} {r['clearance_m']:.4f} m" in written
+        assert f"{r['conductor']} {r['clearance_m']:.4f} m" in texts
+
+
+def test_words_of_the_overlay_cover_neither_each_other_nor_a_landmark(
+    lab: Path, tmp_path: Path, capsys: Capture, written: list[Any]
+) -> None:
+    """Both wires of the laboratory are labelled at mid-span, where a landmark stands as well."""
+    from sagnode.config.load import load_any
+
+    measure(lab, capsys, frames(lab)[0], "--overlay", tmp_path / "drawn")
+    labels = [word for word in written if word.text.endswith(" m")]
+    assert len(labels) == 2
+    assert not labels[0].covers(*labels[1][1:])
+    for landmark in load_any(lab).span.landmarks:
+        u, v = map(round, landmark.pixel)
+        assert not any(label.covers(u - 10, v - 10, u + 10, v + 10) for label in labels), landmark.id
 
 
 def test_distortion_can_be_left_out_and_matters(lab: Path, capsys: Capture) -> None:

@@ -47,7 +47,9 @@ def plan(capsys: Capture, *words: str | Path) -> tuple[int, str, str]:
     return code, said.out, said.err
 
 
-def test_a_span_that_nobody_has_climbed_for_is_planned(span_file: Path, tmp_path: Path, capsys: Capture) -> None:
+def test_a_span_that_nobody_has_climbed_for_is_planned(
+    span_file: Path, tmp_path: Path, capsys: Capture, written: list[Any]
+) -> None:
     picture = tmp_path / "drawn" / "view.png"
     code, out, _ = plan(capsys, "--config", span_file, *LENS, "--picture", picture)
     assert code == 0
@@ -61,6 +63,8 @@ def test_a_span_that_nobody_has_climbed_for_is_planned(span_file: Path, tmp_path
     drawn = cv2.imread(str(picture))
     assert drawn.shape[1] > 640
     assert drawn.std() > 10
+    assert any("thick: middle sag" in word.text and "thin: small and large sag" in word.text for word in written)
+    assert all(word.right <= drawn.shape[1] for word in written), "a line of the legend runs out of the picture"
 
 
 def test_json_tells_the_same_to_a_program(span_file: Path, capsys: Capture) -> None:

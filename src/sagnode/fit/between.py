@@ -305,7 +305,7 @@ def draw_fit(image: GreyImage, result: FitResult) -> NDArray[np.uint8]:
     """The picture (height, width, 3; BGR) with the curve beside which one can see the wire.
 
     Two thin lines run a few pixels either side of the wire, green where it is seen and fading to red where not; rings
-    mark the ends, and the reason stands at the top where nothing was found.
+    mark the ends. A key stands at the top, or the reason where nothing was found.
     """
     canvas = np.asarray(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR), dtype=np.uint8)
     scale = max(0.5, image.shape[1] / 1600)
@@ -326,11 +326,17 @@ def draw_fit(image: GreyImage, result: FitResult) -> NDArray[np.uint8]:
     for point in (result.points[0], result.points[-1]):
         at = np.round(point * 16).astype(np.int32).tolist()
         cv2.circle(canvas, at, round(16 * 9 * scale), (0, 220, 255), line, cv2.LINE_AA, 4)
+    key = "the wire is between the two lines; green: seen   red: not seen   rings: its ends"
     _write(canvas, f"visible {result.visible_share:.0%}, residual {result.residual_px:.2f} px", scale)
+    _write(canvas, key, scale, row=2)
     return canvas
 
 
-def _write(canvas: NDArray[np.uint8], words: str, scale: float) -> None:
-    at = (round(10 * scale), round(24 * scale))
-    for colour, thick in (((0, 0, 0), 3), ((255, 255, 255), 1)):
-        cv2.putText(canvas, words, at, cv2.FONT_HERSHEY_SIMPLEX, 0.5 * scale, colour, thick, cv2.LINE_AA)
+def _write(canvas: NDArray[np.uint8], words: str, scale: float, row: int = 1) -> None:
+    """One row of text from the top, never smaller than can be read."""
+    size = max(0.45, 0.5 * scale)
+    line = round(42 * size)
+    for colour, thick in (((0, 0, 0), 3), ((255, 255, 255), max(1, round(1.2 * size)))):
+        cv2.putText(
+            canvas, words, (round(20 * size), row * line), cv2.FONT_HERSHEY_SIMPLEX, size, colour, thick, cv2.LINE_AA
+        )

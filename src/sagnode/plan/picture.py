@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Iterator
 
 import cv2
 import numpy as np
@@ -10,7 +11,7 @@ import numpy as np
 from sagnode.config.span import Span
 from sagnode.geometry.camera import FloatArray, Intrinsics, Pose, inside, project
 from sagnode.geometry.conductor import conductor_points
-from sagnode.overlay import ColourImage, draw_runs
+from sagnode.overlay import ColourImage, Words, draw_runs
 from sagnode.plan.foresee import LEVELS, states_at
 from sagnode.plan.report import VERDICTS, camera_text, metres, millimetres, turned_text
 from sagnode.plan.study import Study
@@ -74,8 +75,21 @@ def _legend(study: Study) -> list[str]:
         width = "" if one.width_px is None else ", wire " + " ".join(f"{w:.2f}" for w in one.width_px) + " px"
         text = f"{one.conductor}: sag {metres(one, one.sag_m)} m, {100 * one.in_view:.0f} % in view{width}"
         lines.append("; ".join(filter(None, [text, VERDICTS[one.validity], u])))
+    lines.append("thick: middle sag   thin: small and large sag, as in the table   dark frame: edge of the picture")
     lines.append("rings: attachments   crosses: landmarks (grey: out of view)   green: ground   red: obstacles")
     return lines
+
+
+def _wrapped(line: str, room_px: int) -> Iterator[str]:
+    """A line of the legend in pieces that are not wider than the room for them."""
+    piece = ""
+    for word in line.split(" "):
+        longer = f"{piece} {word}" if piece else word
+        if piece.strip() and cv2.getTextSize(longer, cv2.FONT_HERSHEY_SIMPLEX, 0.5, 1)[0][0] > room_px:
+            yield piece
+            longer = f"    {word}"
+        piece = longer
+    yield piece
 
 
 class _Sheet:
@@ -87,7 +101,7 @@ class _Sheet:
         self._origin = np.array(border) * scale
         size = (np.array([intrinsics.width, intrinsics.height]) + 2 * np.array(border)) * scale
         width, height = (round(float(x)) for x in size)
-        self._words: list[tuple[int, int, int, int]] = []
+        self._words = Words()
         self.canvas: ColourImage = np.full((height, width, 3), _OUTSIDE, np.uint8)
         corner = self._at(np.array([intrinsics.width, intrinsics.height], dtype=float))
         cv2.rectangle(self.canvas, self._at(np.zeros(2)), corner, _SKY, -1)
@@ -124,11 +138,11 @@ class _Sheet:
 
     def with_legend(self, lines: list[str]) -> ColourImage:
         """The drawing with lines of text below."""
+        lines = [part for line in lines for part in _wrapped(line.replace("°", " deg"), self.canvas.shape[1] - 24)]
         band = np.full((22 * len(lines) + 12, self.canvas.shape[1], 3), 250, np.uint8)
         for number, line in enumerate(lines):
-            plain = line.replace("°", " deg")
             cv2.putText(
-                band, plain, (12, 22 * (number + 1)), cv2.FONT_HERSHEY_SIMPLEX, 0.5, (30, 30, 30), 1, cv2.LINE_AA
+                band, line, (12, 22 * (number + 1)), cv2.FONT_HERSHEY_SIMPLEX, 0.5, (30, 30, 30), 1, cv2.LINE_AA
             )
         return np.vstack([self.canvas, band])
 
@@ -147,12 +161,5 @@ class _Sheet:
 
     def _text(self, text: str, at: tuple[int, int], colour: tuple[int, int, int]) -> None:
         """Write a word at the first place from there downwards where no other word stands."""
-        (width, height), _ = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, 0.42, 1)
-        u, v = at
-        while any(
-            u < right and left < u + width and v - height < bottom and top < v
-            for left, top, right, bottom in self._words
-        ):
-            v += height + 3
-        self._words.append((u, v - height, u + width, v))
-        cv2.putText(self.canvas, text, (u, v), cv2.FONT_HERSHEY_SIMPLEX, 0.42, colour, 1, cv2.LINE_AA)
+        place = self._words.place(text, at, 0.42)
+        cv2.putText(self.canvas, text, place, cv2.FONT_HERSHEY_SIMPLEX, 0.42, colour, 1, cv2.LINE_AA)
