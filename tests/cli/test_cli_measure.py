@@ -62,6 +62,32 @@ def test_a_reading_has_every_field_of_the_message_that_a_picture_can_have(lab: P
     assert np.sqrt(sum(part**2 for part in parts)) == pytest.approx(sag.u, rel=0.35)
 
 
+def test_the_budget_for_people_holds_what_counts_and_json_holds_all(lab: Path, capsys: Capture) -> None:
+    _, (reading, _) = measure(lab, capsys, frames(lab)[0], "--budget")
+    assert main(["measure", "--config", str(lab), str(frames(lab)[0]), "--budget"]) == 0
+    (line, *_) = [said for said in capsys.readouterr().out.splitlines() if "u(sag) by source, mm: " in said]
+    told = {part.rpartition(" ")[0]: float(part.rpartition(" ")[2]) for part in line.partition("mm: ")[2].split(", ")}
+    parts = {name: 1000 * u for name, u in reading["budget"]["sag"].items()}
+    greatest = max(parts.values())
+    assert set(told) == {name for name, u in parts.items() if u > 0.02 * greatest} < set(parts)
+    assert list(told.values()) == sorted(told.values(), reverse=True)
+    for name, u in told.items():
+        assert u == pytest.approx(parts[name], rel=0.01, abs=0.006), name
+
+
+def test_every_source_of_uncertainty_is_explained_to_the_user(lab: Path, capsys: Capture) -> None:
+    from sagnode.estimate.joint import SOURCES
+
+    _, readings = measure(lab, capsys, frames(lab)[0], "--budget")
+    seen = {name for reading in readings for parts in reading["budget"].values() for name in parts}
+    assert set(SOURCES) <= seen
+    seen |= {"load not excluded", "which load", "even or uneven load", "blocks that may be texture"}
+    page = (Path(__file__).parents[2] / "docs" / "operations.md").read_text()
+    rows = [line.split("|")[1] for line in page.splitlines() if line.startswith("| `")]
+    explained = {name for row in rows for name in row.split("`")[1::2]}
+    assert seen <= explained, seen - explained
+
+
 def test_bad_pictures_are_invalid_with_their_reason_and_the_good_one_is_measured(
     lab: Path, tmp_path: Path, capsys: Capture
 ) -> None:

@@ -50,7 +50,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--overlay", type=Path, metavar="DIR", help="draw what was found into DIR/<picture>-overlay.png"
     )
-    parser.add_argument("--budget", action="store_true", help="tell what each uncertainty is made of")
+    parser.add_argument(
+        "--budget",
+        action="store_true",
+        help="tell what each uncertainty is made of; docs/operations.md says what to do about each source",
+    )
     parser.add_argument(
         "--method", choices=typing.get_args(Method), help="matcher, instead of the configured one; for comparison"
     )

@@ -86,10 +86,7 @@ def clearance_text(estimates: dict[str, Estimate]) -> str:
 
 def _budget_lines(measurement: ConductorMeasurement) -> list[str]:
     """Standard uncertainty of sag and clearance by source, the greatest first."""
-    lines = []
-    for stem in ("sag", "clearance"):
-        sources = sorted(measurement.budget.get(stem, {}).items(), key=lambda item: -item[1])
-        if sources:
-            parts = ", ".join(f"{source} {1000 * u:.1f}" for source, u in sources)
-            lines.append(f"      u({stem}) by source, mm: {parts}")
-    return lines
+    from sagnode.plan.report import sources_text
+
+    texts = {stem: sources_text(measurement.budget.get(stem, {})) for stem in ("sag", "clearance")}
+    return [f"      u({stem}) by source, mm: {text}" for stem, text in texts.items() if text]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from sagnode.message import Estimate
@@ -16,6 +16,7 @@ from sagnode.quality import Validity
 VERDICTS = {Validity.GOOD: "good", Validity.QUESTIONABLE: "doubtful", Validity.INVALID: "refused"}
 """What a reading would be, in words."""
 _SMALL_GAIN = 0.01
+_LEAST_SHARE = 0.02
 _STEMS = ("sag", "clearance")
 
 
@@ -222,11 +223,20 @@ def _beside(other: Neighbour) -> str:
 def _most_from(one: Foreseen) -> list[str]:
     lines = []
     for stem in _STEMS:
-        sources = sorted(one.budget.get(stem, {}).items(), key=lambda item: -item[1])
-        parts = [f"{name} {millimetres(u)}" for name, u in sources if u > 0.02 * sources[0][1]]
-        if parts:
-            lines.append(f"u({stem}) of {one.conductor} (middle) by source, mm: {', '.join(parts)}")
+        text = sources_text(one.budget.get(stem, {}))
+        if text:
+            lines.append(f"u({stem}) of {one.conductor} (middle) by source, mm: {text}")
     return lines
+
+
+def sources_text(budget: Mapping[str, float]) -> str:
+    """A standard uncertainty by source, m: in mm, the greatest first; what is less than 2 % of that is left out.
+
+    >>> sources_text({"ground": 0.0005, "landmarks": 0.0021, "intrinsics": 0.00004})
+    'landmarks 2.1, ground 0.50'
+    """
+    sources = sorted(budget.items(), key=lambda item: -item[1])
+    return ", ".join(f"{name} {millimetres(u)}" for name, u in sources if u > _LEAST_SHARE * sources[0][1])
 
 
 def _first_of_all(study: Study) -> list[str]:
