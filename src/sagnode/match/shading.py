@@ -83,7 +83,7 @@ def moved_by_light(
 def _share_within(width: FloatArray) -> FloatArray:
     """Share of a wire's contrast that its middle keeps in a sharp picture (N,)."""
     table_width, table = _SHARES
-    return np.interp(width, table_width, table)
+    return np.asarray(np.interp(width, table_width, table))
 
 
 def _grey(image: GreyImage, pixel: FloatArray) -> FloatArray:
@@ -91,4 +91,4 @@ def _grey(image: GreyImage, pixel: FloatArray) -> FloatArray:
     height, width = image.shape
     column = np.minimum(np.maximum(np.rint(pixel[:, 0]), 0), width - 1).astype(np.intp)
     row = np.minimum(np.maximum(np.rint(pixel[:, 1]), 0), height - 1).astype(np.intp)
-    return image[row, column].astype(np.float64)
+    return np.asarray(image[row, column], dtype=np.float64)
