@@ -4,11 +4,13 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from demo_wire import along_the_line
 
 from presets import simple_scene
 from sagnode.estimate import identity
 from sagnode.estimate.even import find_even
 from sagnode.estimate.identity import tell_apart
+from sagnode.estimate.locate import _with_its_neighbours
 from sagnode.estimate.matched import Matched
 from sagnode.estimate.refinement import survey_of
 from sagnode.estimate.register import Registered
@@ -76,3 +78,23 @@ def test_wires_that_lie_apart_and_wires_that_are_not_there_stay_as_they_are(tmp_
     assert tell_apart(picture.image, site.conductors, registered, alone) == alone
     lost = {**alone, "L2": None}
     assert tell_apart(picture.image, site.conductors, registered, lost) == lost
+
+
+@pytest.mark.parametrize(("aside_px", "refused"), [(0.5, True), (1.5, True), (4.0, False)])
+def test_what_rests_on_the_places_of_one_that_cannot_be_measured_is_refused_with_it(
+    aside_px: float, refused: bool
+) -> None:
+    own = along_the_line().match
+    beside = replace(own.track, pixels=own.track.pixels + aside_px * own.track.normal)
+    crowded = replace(own, track=beside, crowded=True)
+    located = _with_its_neighbours({"own": own, "crowded": crowded, "own again": own})
+    assert [each.crowded for each in located.values()] == [refused, True, refused]
+    assert not _with_its_neighbours({"own": own, "beside": replace(crowded, crowded=False)})["own"].crowded
+
+
+def test_a_few_places_beside_it_refuse_nothing() -> None:
+    own = along_the_line().match
+    far = own.track.t > 0.5
+    beside = replace(own.track, pixels=own.track.pixels[far] + 0.5 * own.track.normal[far])
+    located = _with_its_neighbours({"own": own, "crowded": replace(own, track=beside, crowded=True)})
+    assert not located["own"].crowded

@@ -206,6 +206,10 @@ def measured(name: str, validity: Validity, *causes: Cause) -> FrameMeasurement:
     return FrameMeasurement(name, None, validity, reasons, "rational-bezier", estimates)
 
 
+def hardly_seen(name: str, share: float) -> FrameMeasurement:
+    return replace(measured(name, Validity.INVALID, Cause.TOO_LITTLE_VISIBLE), visible_share=share)
+
+
 @pytest.mark.parametrize(
     ("others", "refused"),
     [
@@ -213,7 +217,8 @@ def measured(name: str, validity: Validity, *causes: Cause) -> FrameMeasurement:
         ([measured("b", Validity.GOOD)], False),
         ([measured("b", Validity.INVALID, Cause.UNCERTAIN)], False),
         ([measured("b", Validity.INVALID, Cause.NO_CONDUCTOR)], True),
-        ([measured("b", Validity.INVALID, Cause.TOO_LITTLE_VISIBLE, Cause.UNCERTAIN)], True),
+        ([hardly_seen("b", 0.16)], True),
+        ([hardly_seen("b", 0.38)], False),
         ([measured("b", Validity.INVALID, Cause.NO_CONDUCTOR), measured("c", Validity.GOOD)], False),
         ([measured(name, Validity.INVALID, Cause.AMBIGUOUS) for name in "bc"], True),
     ],

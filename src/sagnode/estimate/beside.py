@@ -40,6 +40,8 @@ MOVED_PX, MOVED_SHARE = 0.5, 0.05
 SAME_WIRE = 0.25
 """Share of a curve within a pixel or two of another from which both lie on one wire."""
 SAME_PX = 2.0
+RESTS = 0.5
+"""Share of what a conductor's offsets say from which it rests on the places where they lie."""
 
 
 @dataclass(frozen=True)
@@ -187,6 +189,14 @@ def _any_wire(image: GreyImage, matches: Sequence[Matched | None]) -> bool:
 def on_one_wire(one: Matched, other: Matched) -> bool:
     """Whether two conductors were found on the same wire."""
     return float(np.mean(near_another(one.track, other.track, SAME_PX))) > SAME_WIRE
+
+
+def rests_on(own: Matched, other: Matched) -> bool:
+    """Whether most of what a conductor's offsets say was seen where another one runs."""
+    samples = near_another(own.track, other.track, SAME_PX)
+    there = samples[np.minimum(np.searchsorted(own.track.arc, own.offsets.arc), len(samples) - 1)]
+    said = 1 / own.offsets.sigma**2
+    return float(said @ there) > RESTS * float(said.sum())
 
 
 def _others(found: Mapping[str, Matched | None], conductor: SiteConductor) -> list[Matched]:

@@ -58,8 +58,8 @@ PRIOR_Z_MAX = 5.0
 LOAD_Z_MAX = 3.5
 """So do loads this many standard deviations from what one weight or one stretch of ice makes: wires that hang under one
 lie nearer than three, other lines' wires mostly farther than this."""
-NOT_SEEN = (Cause.NO_CONDUCTOR, Cause.TOO_LITTLE_VISIBLE, Cause.AMBIGUOUS, Cause.OUTSIDE_LIMITS)
-"""Why a conductor that was refused bears no other one out."""
+NOT_SEEN, HARDLY_SEEN = (Cause.NO_CONDUCTOR, Cause.AMBIGUOUS, Cause.OUTSIDE_LIMITS), 0.25
+"""Why a conductor that was refused bears no other one out, and the share of its span below which it does not either."""
 RIVAL_MAX = 0.8
 """A different curve that responds this strongly where it parts from the best leaves open which one is meant."""
 
@@ -137,7 +137,12 @@ def _on_its_own_word(own: FrameMeasurement, measured: Sequence[FrameMeasurement]
     others = [m for m in measured if m is not own]
     told = own.validity is not Validity.INVALID
     uneven = any(reason.cause is Cause.ICE_SUSPECT for reason in own.reasons)
-    return told and uneven and bool(others) and all(any(r.cause in NOT_SEEN for r in m.reasons) for m in others)
+    return told and uneven and bool(others) and not any(_is_seen(m) for m in others)
+
+
+def _is_seen(other: FrameMeasurement) -> bool:
+    shown = other.visible_share is None or other.visible_share >= HARDLY_SEEN
+    return shown and not any(reason.cause in NOT_SEEN for reason in other.reasons)
 
 
 def _alone(own: FrameMeasurement) -> FrameMeasurement:

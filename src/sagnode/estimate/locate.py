@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from sagnode.capture.port import GreyImage
-from sagnode.estimate.beside import disturbed, find_beside, moved, on_one_wire, without
+from sagnode.estimate.beside import disturbed, find_beside, moved, on_one_wire, rests_on, without
 from sagnode.estimate.conclude import conclude
 from sagnode.estimate.even import find_even
 from sagnode.estimate.exchange import exchangeable
@@ -76,11 +76,13 @@ def locate(
         elif own is not None and (own.survey.load_u or _outdated(own, others, together)):
             own, picture = _among_others(image, conductor, registered, together)
             own = own and looked_at(picture, own)
-        if own is None or not is_wire(own):
-            # where two were found on one wire, and nothing beside it, the wire is there, and either may hang on it
+        if own is None or not is_wire(own) or own.survey.load_u:
+            # where two were found on one wire, and nothing beside it, or only under a load that bends one of them
+            # elsewhere, the wire is there, and either may hang on it
             own = _on_one(image, told_apart[conductor.id], found, conductor) or own
         if own is not None:
             located[conductor.id] = own
+    located = _with_its_neighbours(located)
     known = {c.id: found[c.id] for c in site.conductors if not c.measured}
     clear = {name: None if own.crowded else own for name, own in located.items()}
     doubtful = exchangeable(site.conductors, registered, known | clear)
@@ -139,6 +141,18 @@ def _on_one(
     if first is None or not any(on_one_wire(first, other) for other in others):
         return None
     return _crowded(image, first)
+
+
+def _with_its_neighbours(located: Mapping[str, Matched]) -> dict[str, Matched]:
+    """The same; what rests on places beside a conductor that cannot be measured by itself cannot be either.
+
+    Where that one hangs is not known, and what it shows there is taken for the other's.
+    """
+    crowded = [each for each in located.values() if each.crowded]
+    return {
+        name: replace(own, crowded=own.crowded or any(rests_on(own, each) for each in crowded))
+        for name, own in located.items()
+    }
 
 
 def _hidden(found: Matched) -> bool:
