@@ -7,7 +7,7 @@ What the pattern finds is near enough for either to be taken out and the other o
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from itertools import combinations, product
 
@@ -47,6 +47,9 @@ ROUNDS, TRIES = 2, 6
 """Rounds of looking for each beside the other, and ways to pair candidates that are tried."""
 NEARLY_CLEAR = 0.5
 """Share of the blocks that must show a pattern for it to be looked at once more."""
+STILL_SHOWN = 0.75
+"""Share of what two conductors showed when each was found by itself that they must show as a pair. It is not all: two
+that were found on the plainer of two wires show that one twice."""
 
 Place = tuple[SiteConductor, FloatArray, Track]
 """A conductor, its θ (28,) and its curve there."""
@@ -92,10 +95,15 @@ def pair_up(
         if not paired.isdisjoint(both):
             continue
         pair = _found(picture, registered, (one, *a[1:]), (other, *b[1:]))
-        if pair is not None:
+        if pair is not None and _shows(pair) >= STILL_SHOWN * _shows(found[name] for name in both):
             paired.update(both)
             told[one.id], told[other.id] = pair
     return told
+
+
+def _shows(conductors: Iterable[Matched | None]) -> float:
+    """What the curves of some conductors respond together, grey levels."""
+    return sum(own.response for own in conductors if own is not None)
 
 
 def _is_clear(own: Matched | None) -> bool:
