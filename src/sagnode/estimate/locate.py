@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -31,6 +31,28 @@ ROUNDS = 5
 """Most rounds of measuring conductors beside each other, each without the others where they were found last."""
 
 
+@dataclass(frozen=True)
+class _Even:
+    """The conductors of a span under an even load, by id.
+
+    Attributes:
+        first: each as it was found by itself, and beside those that were found on the same wire.
+        found: each as it was found in the picture without the others that run near it.
+        measured: those that are to be measured, each without the others; None where that never comes to rest.
+        pictures: that each is measured in.
+    """
+
+    first: Mapping[str, Matched | None]
+    found: Mapping[str, Matched | None]
+    measured: Mapping[str, Matched | None]
+    pictures: Mapping[str, GreyImage]
+
+    @property
+    def crowded(self) -> set[str]:
+        """Those that only show where a neighbour runs: they are not told, and say nothing of loads."""
+        return {name for name, own in self.measured.items() if own is None and self.found[name] is not None}
+
+
 def locate(
     site: Site,
     image: GreyImage,
@@ -40,53 +62,88 @@ def locate(
 ) -> dict[str, Matched]:
     """Find the measured conductors of a span, by id.
 
-    Every conductor, those that are only known about included, is first found alone under an even load. Two that run so
-    near each other that neither was found clearly are looked for as a pair; where two were found on one wire, one of
-    them is looked for beside it. Those that run close to another are looked for and refined
-    once more in the picture without the others, so that a neighbour cannot pull them, and all are completed. Then
-    they are compared: their swings, and what is left over, say whether the load of any may be uneven; what is followed
-    under an uneven load is kept clear of the others likewise. Those that could as well be each other are marked. Last,
-    what the others say of the wind makes surer what a picture leaves open, and what hangs evenly is solved for once
-    more with its offsets as uncertain as all that is known by then leaves them; what would need a wind of its own is
-    marked.
+    Every conductor is found under an even load, those that are only known about included; then the loads of all are
+    settled together, and each is measured under its own, clear of the others; last is asked what they say of each
+    other.
 
     ``shelf`` holds the libraries that frames of the same burst have drawn before. ``shared`` is what neighbouring
     offsets share, px and relative to their own, where the frame itself cannot tell.
     """
-    found_alone = {c.id: find_even(image, c, survey_of(c, registered), registered, shelf) for c in site.conductors}
-    found_alone = sought_again(image, site.conductors, registered, found_alone, shelf)
-    found_alone = pair_up(image, site.conductors, registered, found_alone, shelf)
-    told_apart = tell_apart(image, site.conductors, registered, found_alone, shelf)
-    found = find_beside(image, site.conductors, registered, told_apart, shelf)
-    measured = [c for c in site.conductors if c.measured]
-    evens, pictures = _measured(image, measured, registered, found)
-    # one that only shows where a neighbour runs is not told, and says nothing of loads
-    crowded = {name for name, even in evens.items() if even is None and found[name] is not None}
-    asked = [c for c in measured if c.id not in crowded]
-    doubted = [(c, own and looked_at(pictures[c.id], own)) for c in asked for own in [evens[c.id]]]
-    settled = dict(zip((c.id for c in asked), settle_loads(pictures, registered, doubted), strict=True))
-    before = {name: evens.get(name) or match for name, match in found.items()}
-    together = found | settled
-    located: dict[str, Matched] = {}
-    for conductor in measured:
-        own, picture = together[conductor.id], pictures[conductor.id]
-        others = {name: match for name, match in before.items() if name != conductor.id}
-        if own is not None and conductor.id in crowded:
-            own = _crowded(picture, own)
-        elif own is not None and (own.survey.load_u or _outdated(own, others, together)):
-            own, picture = _among_others(image, conductor, registered, together)
-            own = own and looked_at(picture, own)
-        if own is None or not is_wire(own) or own.survey.load_u:
-            # where two were found on one wire, and nothing beside it, or only under a load that bends one of them
-            # elsewhere, the wire is there, and either may hang on it
-            own = _on_one(image, told_apart[conductor.id], found, conductor) or own
-        if own is not None:
-            located[conductor.id] = own
-    located = _with_its_neighbours(located)
-    known = {c.id: found[c.id] for c in site.conductors if not c.measured}
+    even = _under_even_loads(site, image, registered, shelf)
+    settled = {**even.found, **_loads_settled(site, registered, even)}
+    located = {c.id: _located(image, c, registered, even, settled) for c in site.conductors if c.measured}
+    told = _with_its_neighbours({name: own for name, own in located.items() if own is not None})
+    return _beside_each_other(site, image, registered, even, told, shared)
+
+
+def _under_even_loads(site: Site, image: GreyImage, registered: Registered, shelf: Shelf | None) -> _Even:
+    """Find each conductor alone, then beside the others, and measure it without them.
+
+    Two that run so near each other that neither was found clearly are looked for as a pair; where two were found on one
+    wire, one of them is looked for beside it. Those that run close to another are looked for and refined once more in
+    the picture without the others, so that a neighbour cannot pull them, and all are completed.
+    """
+    every = site.conductors
+    alone = {c.id: find_even(image, c, survey_of(c, registered), registered, shelf) for c in every}
+    paired = pair_up(image, every, registered, sought_again(image, every, registered, alone, shelf), shelf)
+    first = tell_apart(image, every, registered, paired, shelf)
+    found = find_beside(image, every, registered, first, shelf)
+    measured, pictures = _measured(image, [c for c in every if c.measured], registered, found)
+    return _Even(first, found, measured, pictures)
+
+
+def _loads_settled(site: Site, registered: Registered, even: _Even) -> dict[str, Matched | None]:
+    """The measured conductors that are not crowded, under the loads that their swings and misfits leave them."""
+    doubted: list[tuple[SiteConductor, Matched | None]] = []
+    for conductor in site.conductors:
+        if conductor.measured and conductor.id not in even.crowded:
+            own = even.measured[conductor.id]
+            doubted.append((conductor, own and looked_at(even.pictures[conductor.id], own)))
+    settled = settle_loads(even.pictures, registered, doubted)
+    return {conductor.id: own for (conductor, _), own in zip(doubted, settled, strict=True)}
+
+
+def _located(
+    image: GreyImage,
+    conductor: SiteConductor,
+    registered: Registered,
+    even: _Even,
+    settled: Mapping[str, Matched | None],
+) -> Matched | None:
+    """A conductor under its load, measured anew where the others have moved since; None where it is not found."""
+    own, picture = settled[conductor.id], even.pictures[conductor.id]
+    before = {name: even.measured.get(name) or match for name, match in even.found.items() if name != conductor.id}
+    if own is not None and conductor.id in even.crowded:
+        own = _crowded(picture, own)
+    elif own is not None and (own.survey.load_u or _outdated(own, before, settled)):
+        own, picture = _among_others(image, conductor, registered, settled)
+        own = own and looked_at(picture, own)
+    if own is not None and is_wire(own) and not own.survey.load_u:
+        return own
+    # where two were found on one wire, and nothing beside it, or only under a load that bends one of them elsewhere,
+    # the wire is there, and either may hang on it
+    return _on_one(image, even.first[conductor.id], even.found, conductor) or own
+
+
+def _beside_each_other(
+    site: Site,
+    image: GreyImage,
+    registered: Registered,
+    even: _Even,
+    located: Mapping[str, Matched],
+    shared: tuple[float, float] | None,
+) -> dict[str, Matched]:
+    """Located conductors with what they say of each other.
+
+    Those that could as well be each other are marked. What the others say of the wind makes surer what a picture
+    leaves open, and what hangs evenly is solved for once more with its offsets as uncertain as all that is known by
+    then leaves them; what would need a wind of its own is marked.
+    """
+    known = {c.id: even.found[c.id] for c in site.conductors if not c.measured}
     clear = {name: None if own.crowded else own for name, own in located.items()}
     doubtful = exchangeable(site.conductors, registered, known | clear)
     marked = {name: replace(own, or_of=doubtful.get(name, "")) for name, own in located.items()}
+    measured = [c for c in site.conductors if c.measured]
     concluded = conclude(in_one_wind(image, measured, registered, marked, known), registered, shared)
     unlike = unlike_others(concluded)
     return {name: _asked(own, registered, unlike=name in unlike) for name, own in concluded.items()}
