@@ -162,6 +162,19 @@ def test_a_refused_reading_is_set_aside_and_tried_again_later(hands):
     assert h.outbox.set_aside == 0
 
 
+def test_a_refused_reading_that_left_the_journal_is_not_counted_for_ever(hands):
+    h = hands()
+    fill(h.journal, 2, ("L1",))
+    h.take()
+    h.outbox.acknowledged(2)
+    h.outbox.refused(1, "quota exceeded")
+    h.drain()
+    h.journal.mark_delivered([1], h.wall)  # owed no more, as after pruning
+    h.seconds += SET_ASIDE_S + 1
+    assert h.drain() == []
+    assert h.outbox.set_aside == 0
+
+
 def test_a_poison_message_does_not_block_the_rest(hands):
     h = hands(inflight=5)
     fill(h.journal, 4)

@@ -37,6 +37,7 @@ class Backlog:
 
     depth: int
     oldest_acquired_at: datetime | None
+    oldest_sequence: int | None = None
 
 
 # -- writing
@@ -193,8 +194,9 @@ def restored(db: sqlite3.Connection, found: Found) -> Row | None:
 def backlog(db: sqlite3.Connection) -> Backlog:
     """How much is owed, and how old the oldest is."""
     depth = db.execute("SELECT count(*) FROM readings WHERE fate = 'pending'").fetchone()[0]
-    oldest = db.execute("SELECT acquired_at FROM readings WHERE fate = 'pending' ORDER BY sequence LIMIT 1").fetchone()
-    return Backlog(depth, datetime.fromisoformat(oldest[0]) if oldest else None)
+    first = "SELECT acquired_at, sequence FROM readings WHERE fate = 'pending' ORDER BY sequence LIMIT 1"
+    oldest = db.execute(first).fetchone()
+    return Backlog(depth, datetime.fromisoformat(oldest[0]), oldest[1]) if oldest else Backlog(depth, None)
 
 
 def used_bytes(db: sqlite3.Connection) -> int:

@@ -88,6 +88,22 @@ class Link:
         """Largest packet that the broker takes, bytes."""
         return self._mailbox.packet_max
 
+    @property
+    def set_aside(self) -> int:
+        """Readings that the broker would not take; they are tried again after an hour."""
+        return self._outbox.set_aside
+
+    @property
+    def delivery(self) -> str:
+        """``ok``, or what the broker, though it is connected, does not take."""
+        said = []
+        if self._outbox.set_aside:
+            said.append(f"{self._outbox.set_aside} readings ({self._outbox.refusal})")
+        said += [f"{topic} (the broker answered: {why})" for topic, why in sorted(self._mailbox.refused.copy().items())]
+        if not said:
+            return "ok"
+        return f"the broker does not take {', '.join(said)}; {self._terms.may_write()}, and see its log"
+
     def stop(self, drain_s: float, status: bytes) -> None:
         """Send what is owed for so long, say goodbye and hang up; waits until that is done, a little longer at most."""
         self._mailbox.farewell = Farewell(time.monotonic() + drain_s, status)

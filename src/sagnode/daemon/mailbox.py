@@ -49,6 +49,8 @@ class Mailbox:
         """Readings in the journal are owed once more."""
         self.packet_max = PACKET_MAX
         """Largest packet that the broker takes, bytes."""
+        self.refused: dict[str, str] = {}
+        """Topics of documents and notes that the broker would not take, and what it answered."""
         self._notes: deque[tuple[float, Note]] = deque(maxlen=NOTES_MAX)
         self._documents: dict[str, bytes] = {}
         self._unsent: set[str] = set()

@@ -71,6 +71,7 @@ class Outbox:
         self._acknowledged: set[int] = set()
         self._strikes: dict[int, int] = {}
         self._aside_until: dict[int, float] = {}
+        self._refusal = ""
         self._cursor = 0
         self._page: dict[int, Row] = {}
         self._exhausted_at = 0
@@ -87,6 +88,11 @@ class Outbox:
     def set_aside(self) -> int:
         """Readings that the broker would not take."""
         return len(self._aside_until)
+
+    @property
+    def refusal(self) -> str:
+        """Why the last of them was not taken."""
+        return self._refusal
 
     @property
     def unwritten(self) -> int:
@@ -194,7 +200,9 @@ class Outbox:
                 del self._passed[row.sequence]
                 if self._free(row.sequence):
                     return row
-        if self._exhausted and any(until <= self._monotonic() for until in self._aside_until.values()):
+        if self._exhausted and (due := [s for s, until in self._aside_until.items() if until <= self._monotonic()]):
+            for sequence in due:  # some may have left the journal since
+                del self._aside_until[sequence]
             self._from_the_start()
         while not self._exhausted:
             if not self._page:
@@ -231,6 +239,7 @@ class Outbox:
 
     def _put_aside(self, sequence: int, why: str) -> None:
         log.error("reading %d set aside for %.0f s: %s", sequence, SET_ASIDE_S, why)
+        self._refusal = why
         self._strikes.pop(sequence, None)
         self._aside_until[sequence] = self._monotonic() + SET_ASIDE_S
 

@@ -141,6 +141,8 @@ def _problems(page: dict[str, Any], *, running: bool, known: bool, state_dir: Pa
         yield f"trend: {health['trend']}"
     if running and page["broker_connected"] is False:
         yield f"broker: {health['broker']}"
+    elif running and health.get("delivery", "ok") != "ok":
+        yield f"delivery: {health['delivery']}"
     yield from _certificate_problems(health)
     if page["waiting_in_memory"] or health["journal"] != "ok":
         yield f"journal: {health['journal']}"

@@ -56,6 +56,11 @@ class Terms:
     receive: Receive | None = None
     """Takes what arrives on the topic ``command``; None where no commands are taken."""
 
+    def may_write(self) -> str:
+        """What the broker has to permit."""
+        who = f"the user {self.broker.username}" if self.broker.username else "this client"
+        return f"its access list must let {who} write below {self.prefix}/"
+
 
 class LinkLostError(Exception):
     """The connection is of no use any more; ``by_broker`` says who ended it."""
@@ -307,7 +312,10 @@ class Session:
         self._last_answer = time.monotonic()
         topic = self._papers.pop(mid, None)
         if topic is not None and reason.is_failure:
+            self._mailbox.refused[topic] = str(reason)
             self._complaints.error(f"{self._broker.address} does not take {topic}: {reason}")
+        elif topic is not None:
+            self._mailbox.refused.pop(topic, None)
         sequence = self._readings.pop(mid, None)
         if sequence is None:
             return

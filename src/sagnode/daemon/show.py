@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from sagnode import __version__
+from sagnode.daemon.delivery import Delivery
 from sagnode.daemon.files import write_atomic
 from sagnode.daemon.journal import Journal
 from sagnode.daemon.journal_table import Backlog
@@ -92,6 +93,7 @@ class Showcase:
         self._invalid = 0
         self._last_good_at: datetime | None = None
         self._last: dict[str, dict[str, Any]] = {}
+        self._delivery = Delivery()
         self.configuration_note = "ok"
         """What health says of the configuration, such as a reload that was refused."""
         self.alarms: Sequence[AlarmMessage] = ()
@@ -194,6 +196,8 @@ class Showcase:
             last_good_at=self._last_good_at,
             outbox_depth=backlog.depth,
             outbox_oldest_s=None if age is None else max(0.0, age),
+            outbox_set_aside=self._link.set_aside if self._link else 0,
+            delivery=self._delivery.state(self._link, backlog) if self._link else "ok",
             broker=self._link.state if self._link else "none configured",
             certificate_ends_at=self._link.certificate_ends_at() if self._link else None,
             clock_synced=trust.synced,
@@ -220,4 +224,6 @@ class Showcase:
             words.append(f"{conductor} {told}")
         if self._link is not None and not self._link.connected:
             words.append(f"broker {health.broker}, {health.outbox_depth} readings wait")
+        if health.delivery != "ok":
+            words.append(health.delivery)
         return "; ".join(words)

@@ -1,6 +1,7 @@
 """The way to the broker, step by step: name, port, TLS, certificates' dates, log-in.
 
-Each step is a finding of its own, since each has another remedy. Nothing is published.
+Each step is a finding of its own, since each has another remedy. Nothing is published, for whatever were sent to try
+the broker could pass for a reading; whether readings arrive the daemon knows, while it runs.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ from sagnode.doctor.findings import Finding, Level, fault, ok, skipped, warning
 EXPIRY_DAYS = 30.0
 """A certificate that ends sooner is a warning: a tower is not visited overnight."""
 NAME, PORT, TLS, LOGIN = "broker name", "broker port", "broker TLS", "broker log-in"
+DELIVERY = "broker delivery"
 _DATE = "%b %d %H:%M:%S %Y %Z"  # as OpenSSL writes them
 
 

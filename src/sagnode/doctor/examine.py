@@ -18,7 +18,7 @@ from sagnode.daemon import places
 from sagnode.daemon import report as outside
 from sagnode.daemon.uplink import configured_broker
 from sagnode.doctor import findings, place, system
-from sagnode.doctor.broker import check_broker
+from sagnode.doctor.broker import DELIVERY, check_broker
 from sagnode.doctor.findings import Finding, Level, fault, ok, skipped, warning
 from sagnode.errors import ConfigError
 from sagnode.worker.supervisor import START_DEADLINE_S
@@ -158,6 +158,18 @@ def _broker(loaded: LoadedNode, said: dict[str, Any] | None, *, left_out: bool) 
     page = said["status"] if said else None
     daemon_says = (page["broker_connected"] is True, str(page["health"]["broker"])) if page else None
     yield from check_broker(broker, daemon_says)
+    yield _delivery(page)
+
+
+def _delivery(page: dict[str, Any] | None) -> Finding:
+    """A broker may accept the log-in and take no reading; the daemon is the one that sees it."""
+    if page is None or page["broker_connected"] is not True:
+        return skipped(DELIVERY, "not tried; whether the broker takes readings shows once the daemon is connected")
+    delivery = page["health"].get("delivery", "ok")
+    if delivery != "ok":
+        what, _, remedy = delivery.rpartition("; ")
+        return fault(DELIVERY, what, remedy)
+    return ok(DELIVERY, f"the broker takes what it is given; {page['health']['outbox_depth']} readings wait")
 
 
 def _secret(file: Path) -> Finding:
