@@ -1,12 +1,14 @@
 """The link against a real mosquitto: delivery, outages, passwords, and what a technician is told."""
 
 import logging
+import os
 import signal
 import subprocess
 import time
 
 import pytest
 from brokers import MOSQUITTO, Mosquitto, Subscriber, free_port
+from descriptors import all_low_ones_taken
 from links import OFFLINE, ONLINE, sequences
 from nodes import wait_for
 from readings import fill
@@ -220,3 +222,33 @@ def test_a_second_client_with_the_same_name_is_told(tmp_path, node):
         n.wait_connected()
         with Subscriber(broker.port, prepare=lambda c: setattr(c, "_client_id", b"node-1")):
             n.wait_state("client_id")
+
+
+def test_after_its_end_nothing_of_it_is_left_open_and_a_late_word_disturbs_nobody(node):
+    n = node(port=free_port())
+    ends = (n.link._mailbox.nudged, n.link._mailbox._nudge)
+    n.link.stop(0.0, OFFLINE)
+    for end in ends:
+        with pytest.raises(OSError, match="Bad file descriptor"):
+            os.fstat(end)
+    others = os.pipe2(os.O_NONBLOCK)  # gets the numbers that have become free
+    try:
+        assert set(others) == set(ends)
+        n.link.wake()
+        n.link.stop(0.0, OFFLINE)
+        with pytest.raises(BlockingIOError):
+            os.read(others[0], 1)
+    finally:
+        for end in others:
+            os.close(end)
+
+
+def test_descriptors_above_a_thousand_are_as_good_as_others(tmp_path, node):
+    with Mosquitto(tmp_path) as broker, Subscriber(broker.port) as subscriber:
+        with all_low_ones_taken():
+            n = node(port=broker.port)
+            assert n.link._mailbox.nudged > 1023
+            n.make(3)
+            subscriber.wait_for(lambda s: len(s.readings()) == 9)
+            n.link.stop(5.0, OFFLINE)
+        assert "connected" not in n.link.state

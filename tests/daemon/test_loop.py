@@ -11,6 +11,7 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import pytest
+from descriptors import all_low_ones_taken
 
 from sagnode.daemon.clock import Clock, SystemClock, VirtualClock
 from sagnode.daemon.journal import Journal
@@ -336,3 +337,13 @@ def test_an_order_in_any_moment_of_the_wait_is_taken_and_never_hangs():
             assert process.wait(30) == 0
         finally:
             process.kill()
+
+
+def test_an_order_is_heard_through_a_descriptor_above_a_thousand():
+    with all_low_ones_taken():
+        orders = Orders()
+    threading.Timer(0.1, orders.give, (signal.SIGTERM,)).start()
+    began = time.monotonic()
+    orders.wait(20.0)
+    assert orders.stop
+    assert time.monotonic() - began < 10.0

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 from brokers import MOSQUITTO, Mosquitto, Subscriber
+from descriptors import descriptors
 from nodes import NO_CAMERA, SITE, readings, start_daemon, status, wait_for, write_node
 
 FRAMES = sorted((SITE / "frames").glob("*T1[2-3]*.jpg"))
@@ -167,6 +168,28 @@ def test_reload_takes_a_good_configuration_and_refuses_a_bad_one(tmp_path, site,
     assert status(tmp_path)["unit"]["unit"] == "other"
     assert status(tmp_path)["configuration_id"] != first
     assert process.poll() is None
+
+
+@pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed")
+def test_a_reload_leaves_nothing_open(tmp_path, site, start):
+    with Mosquitto(tmp_path) as broker:
+        node = site(more=f'[mqtt]\nhost = "127.0.0.1"\nport = {broker.port}')
+        process = start(node)
+
+        def connections():
+            return (tmp_path / "log").read_text().count("connected to broker")
+
+        wait_for(connections)
+        kept = []
+        for reloads in range(1, 4):
+            process.send_signal(signal.SIGHUP)
+            wait_for(lambda reloads=reloads: connections() > reloads)
+            made = len(readings(tmp_path))
+            wait_for(lambda made=made: len(readings(tmp_path)) > made)
+            # of pipes alone: a worker that comes or goes has some for a moment, so the fewest count
+            kept.append(min(sum(one.startswith("pipe:") for one in descriptors(process.pid)) for _ in range(50)))
+        assert kept[0] == kept[-1], kept
+        assert process.poll() is None
 
 
 @pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed")

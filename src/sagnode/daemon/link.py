@@ -113,6 +113,13 @@ class Link:
             log.warning("broker %s did not let go in time; left", self._terms.broker.address)
 
     def _run(self) -> None:
+        try:
+            self._keep_connected()
+        finally:
+            self.connected = False
+            self._mailbox.close()
+
+    def _keep_connected(self) -> None:
         while not self._mailbox.over():
             self._connected_at = float("inf")
             try:
@@ -127,7 +134,6 @@ class Link:
                 log.exception("link")
                 self._down(f"{self._terms.broker.address}: {type(error).__name__}: {error}", by_broker=False)
             self._pause(min(BACKOFF_MAX_S, 2.0 ** min(self._failures, 10) / 2) * random.uniform(0.5, 1.0))  # noqa: S311
-        self.connected = False
 
     def _accepted(self) -> None:
         self.connected = True

@@ -100,7 +100,9 @@ class Orders:
 
     def wait(self, seconds: float) -> None:
         """Sleep, but wake at once for an order."""
-        select.select([self._news], [], [], seconds)
+        news = select.poll()
+        news.register(self._news, select.POLLIN)
+        news.poll(1000 * seconds)
 
     def reload_done(self) -> None:
         """The order to reload was carried out."""

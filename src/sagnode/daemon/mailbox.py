@@ -55,6 +55,8 @@ class Mailbox:
         self._documents: dict[str, bytes] = {}
         self._unsent: set[str] = set()
         self._lock = threading.Lock()
+        self._pipe_lock = threading.Lock()
+        self._closed = False
         self.nudged, self._nudge = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
 
     def put(self, topic: str, payload: bytes) -> None:
@@ -100,11 +102,20 @@ class Mailbox:
 
     def nudge(self) -> None:
         """End the thread's wait."""
-        with contextlib.suppress(BlockingIOError):
-            os.write(self._nudge, b"n")
+        with self._pipe_lock, contextlib.suppress(BlockingIOError):
+            if not self._closed:
+                os.write(self._nudge, b"n")
 
     def clear_nudges(self) -> None:
         """They have been seen."""
         with contextlib.suppress(BlockingIOError):
             while os.read(self.nudged, 4096):
                 pass
+
+    def close(self) -> None:
+        """Nobody reads any more; what is left later disturbs nobody."""
+        with self._pipe_lock:
+            if not self._closed:
+                self._closed = True
+                os.close(self.nudged)
+                os.close(self._nudge)

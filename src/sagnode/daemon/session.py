@@ -154,16 +154,18 @@ class Session:
             return
         fd = sock.fileno()
         hidden = getattr(sock, "pending", lambda: 0)()  # bytes that TLS has decrypted already
-        writers = [fd] if client.want_write() else []
-        readable, writable, _ = select.select([fd, nudged], writers, [], 0.0 if hidden else timeout_s)
+        waiting = select.poll()  # select(2) knows no descriptor above 1023
+        waiting.register(fd, select.POLLIN | (select.POLLOUT if client.want_write() else 0))
+        waiting.register(nudged, select.POLLIN)
+        ready = dict(waiting.poll(0.0 if hidden else 1000 * timeout_s))
         code = mqtt.MQTT_ERR_SUCCESS
-        if fd in readable or hidden:
+        if ready.get(fd, 0) & ~select.POLLOUT or hidden:
             code = client.loop_read()
-        if code == mqtt.MQTT_ERR_SUCCESS and writable:
+        if code == mqtt.MQTT_ERR_SUCCESS and ready.get(fd, 0) & select.POLLOUT:
             code = client.loop_write()
         if code == mqtt.MQTT_ERR_SUCCESS:
             code = client.loop_misc()
-        if nudged in readable:
+        if nudged in ready:
             self._mailbox.clear_nudges()
         if self._refusal or code != mqtt.MQTT_ERR_SUCCESS:
             self._lost()

@@ -102,8 +102,9 @@ class Child:
     def read_line(self, timeout_s: float) -> bytes | None:
         """The next line; b"" at its end; None when nothing came in time. An overlong line is cut, and so is garbage."""
         if b"\n" not in self._buffer and len(self._buffer) < MAX_LINE:
-            ready, _, _ = select.select([self._replies], [], [], timeout_s)
-            if not ready:
+            replies = select.poll()  # select(2) knows no descriptor above 1023
+            replies.register(self._replies, select.POLLIN)
+            if not replies.poll(1000 * timeout_s):
                 return None
             chunk = os.read(self._replies, 1 << 16)
             if not chunk:
