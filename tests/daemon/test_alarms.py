@@ -29,6 +29,7 @@ class Bench:
 
     def __init__(self, directory, span=SPAN, settings=None, **options):
         self.published, self.topics, self.at = [], {}, 0
+        self.passed, self.now = 1000.0, START
         ids = count(1)
         rules = {"L1": configured_rules(span, settings or Settings())["L1"]}
         self.alarms = Alarms(
@@ -38,6 +39,7 @@ class Bench:
             file=directory / ALARMS_FILE,
             publish=self.publish,
             new_id=lambda: f"event-{next(ids)}",
+            passed_s=lambda: self.passed,
             **options,
         )
 
@@ -55,8 +57,15 @@ class Bench:
         kind = validity or (Validity.QUESTIONABLE if reasons else Validity.GOOD)
         fields["quality"] = QualityMessage.of(kind, tuple(reasons))
         fields["landmarks_used"] = 0 if kind is Validity.INVALID else 8
-        self.now = START + timedelta(minutes=minutes * self.at)
+        self.idle(minutes, look=False)
         return self.alarms.look([reading(number or self.at, acquired_at=self.now, **fields)], self.now)
+
+    def idle(self, minutes, *, look=True):
+        """Time passes, by the clock and in truth."""
+        self.passed += 60 * minutes
+        self.now += timedelta(minutes=minutes)
+        if look:
+            self.alarms.look([], self.now)
 
     def invalid(self, cause=Cause.DARK):
         return self.read(reasons=[Reason(cause, "because")], validity=Validity.INVALID)
@@ -195,15 +204,41 @@ def test_staleness_counts_from_the_last_reading_with_a_number_and_ends_with_the_
     bench.read(sag=8.0)
     last = bench.now
     bench.invalid()
-    bench.alarms.look([], last + timedelta(minutes=119))
+    bench.idle(114)
     assert bench.alarm("stale") is None
-    bench.alarms.look([], last + timedelta(minutes=121))
+    bench.idle(2)
     assert bench.alarm("stale").since == last
-    bench.alarms.look([], last - timedelta(days=1))  # the clock was set back: it says nothing
-    assert bench.alarm("stale") is not None
-    bench.at = 100
     bench.read(sag=8.0)
     assert bench.alarm("stale") is None
+
+
+YEAR, HOURS = timedelta(days=365), timedelta(hours=3)
+
+
+@pytest.mark.parametrize("step", [-YEAR, -HOURS, HOURS, YEAR])
+def test_a_step_of_the_clock_neither_raises_staleness_nor_hides_it(bench, step):
+    bench.read(sag=8.0)
+    bench.now += step
+    last = bench.now
+    bench.idle(119)
+    assert bench.alarm("stale") is None
+    bench.idle(2)
+    assert bench.alarm("stale").since == last  # by the clock as it is now
+    bench.now -= step
+    bench.idle(1)
+    assert bench.alarm("stale") is not None
+    bench.read(sag=8.0)
+    assert bench.alarm("stale") is None
+
+
+@pytest.mark.parametrize("step", [-YEAR, YEAR])
+def test_a_step_before_the_first_reading_does_not_either(bench, step):
+    bench.idle(1)
+    bench.now += step
+    bench.idle(118)
+    assert bench.alarm("stale") is None
+    bench.idle(3)
+    assert bench.alarm("stale") is not None
 
 
 def test_after_a_restart_staleness_counts_from_the_journal(tmp_path):
@@ -211,6 +246,34 @@ def test_after_a_restart_staleness_counts_from_the_journal(tmp_path):
     bench.alarms.remember([reading(1, acquired_at=START)])
     bench.alarms.look([], START + timedelta(hours=3))
     assert bench.alarm("stale").since == START
+
+
+def test_a_reading_of_this_boot_is_as_old_as_the_time_that_has_passed_whatever_it_bears(tmp_path):
+    bench = Bench(tmp_path)
+    bench.alarms.remember([reading(1, acquired_at=START + YEAR, boot_id="b", monotonic_s=1000.0 - 3600.0)], "b")
+    bench.idle(59)
+    assert bench.alarm("stale") is None
+    bench.idle(2)
+    assert bench.alarm("stale") is not None
+
+
+def test_a_reading_of_an_earlier_boot_that_is_of_the_future_was_made_before_this_one(tmp_path):
+    bench = Bench(tmp_path)
+    bench.alarms.remember([reading(1, acquired_at=START + YEAR, boot_id="a", monotonic_s=1.0)], "b")
+    bench.idle(119)
+    assert bench.alarm("stale") is None
+    bench.idle(2)
+    assert bench.alarm("stale") is not None
+
+
+def test_a_node_that_was_off_for_long_is_stale_as_soon_as_its_clock_is_set(tmp_path):
+    bench = Bench(tmp_path)
+    bench.alarms.remember([reading(1, acquired_at=START - timedelta(minutes=5), boot_id="a")], "b")
+    bench.idle(1)
+    assert bench.alarm("stale") is None  # a clock without a battery goes on where it stood
+    bench.now += HOURS
+    bench.idle(1)
+    assert bench.alarm("stale").since == START - timedelta(minutes=5)
 
 
 def test_alarms_and_half_raised_ones_survive_a_restart(tmp_path):

@@ -42,6 +42,15 @@ def test_virtual_clock_jumps_when_idle_and_runs_while_working():
     assert clock.now() > START + timedelta(hours=6)
 
 
+def test_what_a_virtual_clock_skips_has_passed_and_where_it_is_set_to_has_not():
+    clock = VirtualClock(START)
+    before = clock.passed_s()
+    clock.set(START - timedelta(days=365))
+    assert 0.0 <= clock.passed_s() - before < 60.0
+    clock.idle_s(clock.now() + timedelta(hours=6))
+    assert 6 * 3600 <= clock.passed_s() - before + 1.0 < 6 * 3600 + 60.0
+
+
 def test_steps_are_seen_once_and_slewing_is_not():
     clock = HandClock()
     detector = StepDetector(clock)

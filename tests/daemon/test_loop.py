@@ -1,5 +1,6 @@
 """The loop with a real worker process, a real journal, and a clock that is handed in."""
 
+import dataclasses
 import json
 import signal
 import sqlite3
@@ -13,16 +14,20 @@ from pathlib import Path
 import pytest
 from descriptors import all_low_ones_taken
 
+from sagnode.daemon.alarms import Alarms, Debounce
 from sagnode.daemon.clock import Clock, SystemClock, VirtualClock
+from sagnode.daemon.dialogue import Dialogue
 from sagnode.daemon.journal import Journal
 from sagnode.daemon.loop import Ending, Loop, Orders, Parts
 from sagnode.daemon.machine import Machine
 from sagnode.daemon.notify import Notifier, Watchdog
 from sagnode.daemon.pictures import Pictures
 from sagnode.daemon.recorder import Recorder
+from sagnode.daemon.rules import StaleRule
 from sagnode.daemon.schedule import Schedule
 from sagnode.daemon.show import STATUS_FILE, Facts, Showcase
 from sagnode.daemon.stamp import Stamp
+from sagnode.exchange import AlarmKind
 from sagnode.message import Identity
 from sagnode.trend.heat import HeatScale
 from sagnode.trend.watch import Trend, Watched
@@ -189,6 +194,42 @@ def test_a_step_back_between_two_waits_does_not_stop_the_schedule(tmp_path, hand
     parts.showcase.show = set_right_meanwhile
     assert run(parts) is Ending.STOPPED
     assert len(rows(tmp_path)) > 4
+
+
+def with_alarms(parts, directory):
+    rules = {"L1": [StaleRule(AlarmKind.STALE, limit=7200.0)]}
+    file, topics = directory / "alarms.json", {}
+    alarms = Alarms(
+        IDENTITY, rules, Debounce(1, 1), file=file, publish=topics.__setitem__, passed_s=parts.clock.passed_s
+    )
+    told = []  # what was said of it at each look, and when
+    look = alarms.look
+
+    def looked(readings, now):
+        news = look(readings, now)
+        told.extend((parts.clock.mono - 1000.0, "raised") for _ in news.raised)
+        return news
+
+    alarms.look = looked
+    journal = parts.recorder._journal
+    talk = Dialogue(alarms, None, journal=journal, link=None, conductors=["L1"], picture_on_alarm=False)
+    return dataclasses.replace(parts, dialogue=talk), told
+
+
+def test_a_clock_that_is_set_back_a_year_does_not_silence_the_alarm_for_no_readings(tmp_path, hand):
+    clock, orders = hand(3 * 3600, [(30.0, -365 * 86400)])
+    clock.wall += timedelta(days=365)
+    parts, told = with_alarms(build(tmp_path, "ok camera-fault", clock, orders, interval_s=600.0), tmp_path)
+    run(parts)
+    assert len(told) == 1
+    assert 7200.0 < told[0][0] < 7810.0
+
+
+def test_a_clock_that_is_set_forward_raises_no_alarm_for_no_readings(tmp_path, hand):
+    clock, orders = hand(3600, [(30.0, 3 * 3600)])
+    parts, told = with_alarms(build(tmp_path, "ok camera-fault", clock, orders, interval_s=600.0), tmp_path)
+    run(parts)
+    assert told == []
 
 
 def test_a_clock_that_is_wrong_by_decades_and_then_set(tmp_path, hand):

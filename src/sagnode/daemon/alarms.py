@@ -10,10 +10,11 @@ from __future__ import annotations
 
 import json
 import logging
+import time
 import uuid
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from datetime import datetime
+from datetime import datetime, timedelta
 from pathlib import Path
 
 from pydantic import ValidationError
@@ -28,6 +29,8 @@ from sagnode.quality import Validity
 log = logging.getLogger(__name__)
 
 ALARMS_FILE = "alarms.json"
+_STEPPED_S = 60.0
+"""A time of day that says so much else than the time that has passed was set meanwhile."""
 
 
 @dataclass(frozen=True)
@@ -50,6 +53,26 @@ class _Watch:
     """Acquisition of the first of them."""
 
 
+@dataclass(frozen=True)
+class _Usable:
+    """A reading with a number, or the start of this process where there was none yet."""
+
+    at: datetime
+    """By the clock of then, which may have been wrong."""
+    passed_s: float
+    """When it was, by the time that has passed; of a reading of an earlier boot: when it was remembered."""
+    earlier: bool = False
+    """Whether it is of an earlier boot: how long ago it was is known by the time of day alone."""
+
+    def age(self, now: datetime, passed_s: float) -> tuple[datetime, float]:
+        """Since when, by the present time of day, and for how many seconds there was none."""
+        by_the_clock_s = (now - self.at).total_seconds()
+        age_s = max(0.0, passed_s - self.passed_s)
+        if self.earlier:  # at least as long ago as it was remembered, should it bear a time that is still to come
+            age_s = max(age_s, by_the_clock_s)
+        return (self.at if abs(by_the_clock_s - age_s) < _STEPPED_S else now - timedelta(seconds=age_s)), age_s
+
+
 @dataclass
 class News:
     """What became of the alarms by a look at readings or the clock."""
@@ -69,6 +92,7 @@ class Alarms:
         publish: called with the topic below the prefix and the retained payload (empty: no alarm).
         test: whether the unit is being commissioned.
         new_id: makes event ids.
+        passed_s: seconds by which ages are measured; no step of the time of day is among them.
     """
 
     def __init__(
@@ -81,6 +105,7 @@ class Alarms:
         publish: Callable[[str, bytes], None],
         test: bool = False,
         new_id: Callable[[], str] = lambda: str(uuid.uuid4()),
+        passed_s: Callable[[], float] = time.monotonic,
     ) -> None:
         self._identity = identity
         self._debounce = debounce
@@ -88,11 +113,12 @@ class Alarms:
         self._publish = publish
         self._test = test
         self._new_id = new_id
+        self._passed_s = passed_s
         self._complaints = Seldom(log)
         self._watches = {(c, rule.kind): _Watch(rule) for c, some in rules.items() for rule in some}
-        self._usable_at: dict[str, datetime] = {}
-        """When each conductor last had a reading with a number; by the node's clock, whatever old files it replays."""
-        self._started_at: datetime | None = None
+        self._usable: dict[str, _Usable] = {}
+        """Each conductor's last reading with a number; by the node's clock, whatever old files it replays."""
+        self._started: _Usable | None = None
         self._kept: dict[tuple[str, AlarmKind], tuple[int, str | None]] = {}
         self._restore()
 
@@ -102,21 +128,29 @@ class Alarms:
         found = [watch.alarm for watch in self._watches.values() if watch.alarm is not None]
         return sorted(found, key=lambda alarm: alarm.since)
 
-    def remember(self, readings: Iterable[ReadingHeader]) -> None:
-        """At a start: readings of the journal, so that staleness counts from the last that has a number."""
+    def remember(self, readings: Iterable[ReadingHeader], boot_id: str = "") -> None:
+        """At a start: readings of the journal, so that staleness counts from the last that has a number.
+
+        Args:
+            readings: of the journal, oldest first.
+            boot_id: of this boot, where ``passed_s`` counts from it.
+        """
         for reading in readings:
-            self._note_usable(reading, reading.acquired_at)
+            of_this_boot = bool(boot_id) and reading.boot_id == boot_id
+            passed_s = reading.monotonic_s if of_this_boot else self._passed_s()
+            self._note_usable(reading, _Usable(reading.acquired_at, passed_s, earlier=not of_this_boot))
 
     def look(self, readings: Sequence[ReadingHeader], now: datetime) -> News:
         """Judge a burst (or only the time, when it is empty); publish what is in force."""
         news = News()
-        self._started_at = self._started_at or now
+        passed_s = self._passed_s()
+        self._started = self._started or _Usable(now, passed_s)
         for reading in readings:
-            self._note_usable(reading, now)
+            self._note_usable(reading, _Usable(now, passed_s))
         for (conductor, kind), watch in self._watches.items():
             if kind is AlarmKind.STALE:
-                since = self._usable_at.get(conductor, self._started_at)
-                self._weigh(watch, conductor, watch.rule.of_age(since, now), now, None, news)
+                since, age_s = self._usable.get(conductor, self._started).age(now, passed_s)
+                self._weigh(watch, conductor, watch.rule.of_age(since, age_s), now, None, news)
                 continue
             for reading in readings:
                 if reading.conductor == conductor:
@@ -137,9 +171,9 @@ class Alarms:
 
     # -- within
 
-    def _note_usable(self, reading: ReadingHeader, at: datetime) -> None:
+    def _note_usable(self, reading: ReadingHeader, usable: _Usable) -> None:
         if reading.quality.validity is not Validity.INVALID:
-            self._usable_at[reading.conductor] = at
+            self._usable[reading.conductor] = usable
 
     def _weigh(
         self, watch: _Watch, conductor: str, evidence: Evidence, at: datetime, reading: ReadingHeader | None, news: News

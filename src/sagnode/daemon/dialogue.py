@@ -8,15 +8,16 @@ from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 
-from sagnode.config.load import LoadedNode
 from sagnode.daemon.alarms import ALARMS_FILE, Alarms, Debounce
+from sagnode.daemon.clock import VirtualClock
 from sagnode.daemon.commands import Asked, Inbox
 from sagnode.daemon.journal import Journal
 from sagnode.daemon.link import Link
 from sagnode.daemon.rules import configured_rules
+from sagnode.daemon.uplink import Wording
 from sagnode.errors import JournalError
 from sagnode.exchange import AlarmMessage, MeasureCommand, PictureCommand, ResendCommand
-from sagnode.message import Identity, ReadingHeader
+from sagnode.message import ReadingHeader
 
 log = logging.getLogger(__name__)
 
@@ -163,8 +164,7 @@ class Dialogue:
 
 
 def configured_dialogue(
-    loaded: LoadedNode,
-    identity: Identity,
+    wording: Wording,
     past: Sequence[ReadingHeader],
     journal: Journal,
     link: Link | None,
@@ -172,16 +172,18 @@ def configured_dialogue(
     state_dir: Path,
 ) -> Dialogue:
     """The dialogue of a configuration, with its alarms as they were left and what the journal remembers."""
+    loaded, clock = wording.loaded, wording.clock
     node = loaded.node
     alarms = Alarms(
-        identity,
+        wording.identity,
         configured_rules(loaded.span, node.alarms),
         Debounce(node.alarms.raise_after, node.alarms.clear_after),
         file=state_dir / ALARMS_FILE,
         publish=link.show if link is not None else _to_nobody,
         test=node.unit.commissioning,
+        passed_s=clock.passed_s,
     )
-    alarms.remember(past)
+    alarms.remember(past, "" if isinstance(clock, VirtualClock) else wording.boot_id)
     return Dialogue(
         alarms,
         inbox,

@@ -135,7 +135,7 @@ def _run_once(
             accept=reloader.accept,
             reopen=lambda: stores.better(recorder.refused_s),
             trend=configured_trend(loaded, past) if node.trend.watch else None,
-            dialogue=configured_dialogue(loaded, wording.identity, past, journal, link, inbox, state_dir),
+            dialogue=configured_dialogue(wording, past, journal, link, inbox, state_dir),
         )
         log.info("sagnode %s, %s, state in %s", __version__, loaded.path, store.directory)
         if link is not None:
