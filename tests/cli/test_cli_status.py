@@ -211,6 +211,65 @@ def test_a_damaged_page_and_a_damaged_journal_are_no_traceback(tmp_path, capsys)
     assert examine(tmp_path)["status"] is None
 
 
+def without(document, *path):
+    inner = document
+    for key in path[:-1]:
+        inner = inner[key]
+    del inner[path[-1]]
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda p: [without(p, key) for key in list(p) if key != "written_at"],
+        lambda p: p.update(schema_version="sagnode.status-file/2"),
+        lambda p: without(p, "readings"),
+        lambda p: without(p, "health", "journal"),
+        lambda p: without(p, "health", "readings_invalid"),
+        lambda p: without(p, "readings", "L1", "reasons"),
+        lambda p: p.update(readings=[]),
+        lambda p: p.update(health=None),
+        lambda p: p.update(now="yesterday"),
+        lambda p: p.update(written_at=None),
+        lambda p: p["health"].update(throttled="a little"),
+        lambda p: p["health"].update(landmarks={"appearances": "one"}),
+        lambda p: p.update(alarms=[{"kind": "sag"}]),
+    ],
+)
+@pytest.mark.parametrize("words", [(), ("--json",)])
+def test_a_page_of_another_shape_is_told_and_no_defect(node, capsys, change, words):
+    state = node()
+    document = page(state)
+    change(document)
+    (state / "status.json").write_text(json.dumps(document))
+    assert main(["status", *words, "--state-dir", str(state)]) == 1
+    said = capsys.readouterr()
+    assert said.err == ""
+    assert "status.json is damaged, or was written by another version of sagnode; restart the service" in said.out
+
+
+def test_what_may_be_unknown_may_be_missing(node, capsys):
+    assert main(["status", "--state-dir", str(node(health={"landmarks": {"appearances": 1}}))]) == 0
+    assert "1 appearances kept" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("text", ["", "[]", "7", "[" * 100_000, '{"written_at": 1}', "\x00"])
+def test_whatever_stands_in_the_place_of_a_page_is_no_defect(tmp_path, capsys, text):
+    (tmp_path / "status.json").write_text(text)
+    assert main(["status", "--state-dir", str(tmp_path)]) == 1
+    assert "it goes with the next start" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("name", [*page(Path("/s")), *(f"health.{key}" for key in page(Path("/s"))["health"])])
+def test_whichever_key_is_missing_there_is_an_answer(node, capsys, name):
+    state = node()
+    document = page(state)
+    without(document, *name.split("."))
+    (state / "status.json").write_text(json.dumps(document))
+    assert main(["status", "--state-dir", str(state)]) in {0, 1}
+    assert capsys.readouterr().err == ""
+
+
 def test_without_a_page_the_journal_tells_the_last_readings(tmp_path, capsys):
     journal = Journal(tmp_path / "journal.sqlite")
     fill(journal, 2, ("L1", "L2"))

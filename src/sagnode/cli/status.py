@@ -157,14 +157,14 @@ def _landmarks(page: dict[str, Any]) -> str:
         return duration(max(0.0, (now - datetime.fromisoformat(landmarks[key])).total_seconds()))
 
     taken = "of unknown age"
-    since = landmarks["reference_taken_at"]
+    since = landmarks.get("reference_taken_at")
     # a picture from the future says nothing, as where frames of the past are replayed
     if since is not None and datetime.fromisoformat(since) <= now:
         # a copied file is younger than its picture
-        least = "at least " if landmarks["reference_taken_from"] == "modified" else ""
+        least = "at least " if landmarks.get("reference_taken_from") == "modified" else ""
         taken = f"{least}{age('reference_taken_at')} old"
     kept = f"{landmarks['appearances']} appearances kept"
-    if landmarks["appearances"]:
+    if landmarks["appearances"] and landmarks.get("newest_at") and landmarks.get("oldest_at"):
         kept += f", {age('newest_at')} to {age('oldest_at')} old"
     used = max((reading.get("landmarks_by_appearance") or 0 for reading in page["readings"].values()), default=0)
     return f"reference picture {taken}; {kept}" + (f"; {used} found by them" if used else "")

@@ -16,7 +16,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from sagnode.daemon.places import JOURNAL, SERVICE_RUNTIME, runtime_directory
+from sagnode.daemon.places import JOURNAL
+from sagnode.daemon.status_page import find_page
 
 SILENT_S = 60.0
 """The daemon shows itself every ten seconds; so long without is a trouble."""
@@ -32,7 +33,8 @@ def examine(state_dir: Path) -> dict[str, Any]:
         ``verdict`` (fine or degraded), ``problems`` (a sentence each), ``running``, and ``status``: what the daemon
         wrote last, with ``age_s`` added to each reading; null when it never wrote anything.
     """
-    page = _page(state_dir)
+    shown = find_page(state_dir)
+    page = shown.page
     running = _runs(state_dir, page)
     journal = _journal(state_dir / JOURNAL)
     if page is None:
@@ -47,7 +49,15 @@ def examine(state_dir: Path) -> dict[str, Any]:
             reading["age_s"] = time.monotonic() - reading["recorded_monotonic_s"] if aged else None
     if journal["depth"] is not None:
         page["health"]["outbox_depth"] = journal["depth"]
-    problems = list(_problems(page, running=running, known=known, state_dir=state_dir))
+    if known:
+        problems = list(_problems(page, running=running))
+    elif shown.not_understood is not None:
+        remedy = "restart the service" if running else "it goes with the next start"
+        problems = [f"{shown.not_understood} is damaged, or was written by another version of sagnode; {remedy}"]
+    elif running:
+        problems = ["the daemon has not shown itself yet"]
+    else:
+        problems = [f"no daemon has run with {state_dir}; --config or --state-dir names another"]
     return {
         "schema_version": "sagnode.status-report/1",
         "verdict": "degraded" if problems else "fine",
@@ -59,19 +69,6 @@ def examine(state_dir: Path) -> dict[str, Any]:
 
 
 # -- finding
-
-
-def _page(state_dir: Path) -> dict[str, Any] | None:
-    """What the daemon with this state directory wrote last."""
-    pages = []
-    for directory in (state_dir, runtime_directory(), SERVICE_RUNTIME):
-        if directory is not None:
-            with contextlib.suppress(OSError, ValueError, KeyError, TypeError):  # a page of another version, or none
-                page = json.loads((directory / "status.json").read_text(encoding="utf-8"))
-                float(page["written_at"])
-                if directory == state_dir or Path(page["state_dir"]) == state_dir.absolute():
-                    pages.append(page)
-    return max(pages, key=lambda page: float(page["written_at"]), default=None)
 
 
 def _runs(state_dir: Path, page: dict[str, Any] | None) -> bool:
@@ -123,11 +120,7 @@ def _journal(path: Path) -> dict[str, Any]:
 # -- judging
 
 
-def _problems(page: dict[str, Any], *, running: bool, known: bool, state_dir: Path) -> Iterator[str]:
-    if not known:
-        nobody = f"no daemon has run with {state_dir}; --config or --state-dir names another"
-        yield "the daemon has not shown itself yet" if running else nobody
-        return
+def _problems(page: dict[str, Any], *, running: bool) -> Iterator[str]:
     health = page["health"]
     if not running:
         ended = page["state"]
@@ -139,16 +132,16 @@ def _problems(page: dict[str, Any], *, running: bool, known: bool, state_dir: Pa
         yield f"alarm: {alarm['kind']} of {alarm['conductor']} since {moment(alarm['since'])}: {alarm['text']}"
     if health.get("trend", "ok") != "ok":
         yield f"trend: {health['trend']}"
-    if running and page["broker_connected"] is False:
+    if running and page.get("broker_connected") is False:
         yield f"broker: {health['broker']}"
     elif running and health.get("delivery", "ok") != "ok":
         yield f"delivery: {health['delivery']}"
     yield from _certificate_problems(health)
     if page["waiting_in_memory"] or health["journal"] != "ok":
         yield f"journal: {health['journal']}"
-    if health["disk_free_mb"] is not None and health["disk_free_mb"] < DISK_LOW_MB:
+    if health.get("disk_free_mb") is not None and health["disk_free_mb"] < DISK_LOW_MB:
         yield f"disk: only {health['disk_free_mb']:.0f} MB free"
-    if health["throttled"]:
+    if health.get("throttled"):
         yield "processor throttled: too little voltage or too hot"
     if health["configuration"] != "ok":
         yield f"configuration: {health['configuration']}"
@@ -173,7 +166,11 @@ def _reading_problems(page: dict[str, Any], *, running: bool) -> Iterator[str]:
         elif reading["validity"] == "invalid":
             causes = ", ".join(reason["cause"] for reason in reading["reasons"])
             yield f"{conductor}: last reading invalid ({causes})"
-        elif running and page["gap_s"] is not None and (reading["age_s"] or 0) > 2 * page["gap_s"] + page["deadline_s"]:
+        elif (
+            running
+            and page.get("gap_s") is not None
+            and (reading["age_s"] or 0) > 2 * page["gap_s"] + page["deadline_s"]
+        ):
             yield f"{conductor}: last reading is stale, {duration(reading['age_s'])} old"
 
 

@@ -23,6 +23,7 @@ from sagnode.daemon.logs import Seldom
 from sagnode.daemon.machine import ClockTrust, Machine
 from sagnode.daemon.notify import Notifier
 from sagnode.daemon.recorder import Recorder
+from sagnode.daemon.status_page import STATUS_FILE, STATUS_SCHEMA
 from sagnode.digits import decimals
 from sagnode.errors import JournalError
 from sagnode.exchange import AlarmMessage
@@ -32,8 +33,6 @@ from sagnode.worker.supervisor import Supervisor
 
 log = logging.getLogger(__name__)
 
-STATUS_FILE = "status.json"
-STATUS_SCHEMA = "sagnode.status-file/1"
 _HEALTH_EVERY_S = 300.0
 _SHOWN = (
     "sag_m",

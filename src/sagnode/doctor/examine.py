@@ -156,20 +156,22 @@ def _broker(loaded: LoadedNode, said: dict[str, Any] | None, *, left_out: bool) 
         yield _secret(password)
     broker = configured_broker(mqtt, mqtt.client_id or f"sagnode-{loaded.node.unit.unit}")
     page = said["status"] if said else None
-    daemon_says = (page["broker_connected"] is True, str(page["health"]["broker"])) if page else None
+    if page is not None and "broker" not in page["health"]:
+        page = None  # nothing that could be understood was shown yet
+    daemon_says = (page.get("broker_connected") is True, str(page["health"]["broker"])) if page else None
     yield from check_broker(broker, daemon_says)
     yield _delivery(page)
 
 
 def _delivery(page: dict[str, Any] | None) -> Finding:
     """A broker may accept the log-in and take no reading; the daemon is the one that sees it."""
-    if page is None or page["broker_connected"] is not True:
+    if page is None or page.get("broker_connected") is not True:
         return skipped(DELIVERY, "not tried; whether the broker takes readings shows once the daemon is connected")
     delivery = page["health"].get("delivery", "ok")
     if delivery != "ok":
         what, _, remedy = delivery.rpartition("; ")
         return fault(DELIVERY, what, remedy)
-    return ok(DELIVERY, f"the broker takes what it is given; {page['health']['outbox_depth']} readings wait")
+    return ok(DELIVERY, f"the broker takes what it is given; {page['health'].get('outbox_depth', 0)} readings wait")
 
 
 def _secret(file: Path) -> Finding:
