@@ -12,6 +12,8 @@ JOURNAL = "journal.sqlite"
 """In the state directory."""
 SERVICE_CONFIG = Path("/etc/sagnode")
 """Where the installed service has its configuration."""
+VOLATILE = "volatile"
+"""In the runtime directory: stands in for a state directory that is of no use."""
 SERVICE_STATE = Path("/var/lib/sagnode")
 """Where the installed service keeps its state; looked at when the user has none of his own."""
 SERVICE_RUNTIME = Path("/run/sagnode")

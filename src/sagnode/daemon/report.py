@@ -16,8 +16,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from sagnode.daemon.places import JOURNAL
-from sagnode.daemon.status_page import find_page
+from sagnode.daemon.places import JOURNAL, VOLATILE
+from sagnode.daemon.status_page import Shown, find_page
 
 SILENT_S = 60.0
 """The daemon shows itself every ten seconds; so long without is a trouble."""
@@ -35,8 +35,11 @@ def examine(state_dir: Path) -> dict[str, Any]:
     """
     shown = find_page(state_dir)
     page = shown.page
-    running = _runs(state_dir, page)
-    journal = _journal(state_dir / JOURNAL)
+    homes = _homes(state_dir, shown)
+    held = {home: _is_held(home / "lock") for home in homes}
+    # Where a lock cannot be seen, the process counts.
+    running = True in held.values() or (None in held.values() and _is_there(page))
+    journal = _journal(next((home for home in homes if held[home]), state_dir) / JOURNAL)
     if page is None:
         page = {"readings": journal["readings"], "health": {}, "conductors": list(journal["readings"])}
         known = False
@@ -71,19 +74,31 @@ def examine(state_dir: Path) -> dict[str, Any]:
 # -- finding
 
 
-def _runs(state_dir: Path, page: dict[str, Any] | None) -> bool:
-    """Whether a daemon holds the state directory's lock; where that cannot be seen, whether its process is there."""
+def _homes(state_dir: Path, shown: Shown) -> list[Path]:
+    """Where the daemon may keep its journal: the state directory, and what stands in for it in memory."""
+    if shown.directory is None or shown.directory == state_dir:
+        return [state_dir]
+    return [state_dir, shown.directory / VOLATILE]
+
+
+def _is_held(lock: Path) -> bool | None:
+    """Whether a daemon holds this lock; None where that cannot be seen."""
     try:
-        with (state_dir / "lock").open() as lock:
-            fcntl.flock(lock, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        with lock.open() as stream:
+            fcntl.flock(stream, fcntl.LOCK_SH | fcntl.LOCK_NB)
     except BlockingIOError:
         return True
     except FileNotFoundError:
         return False
     except OSError:
-        same_boot = page is not None and page.get("boot_id") == _boot_id()
-        return same_boot and page is not None and page["state"] == "running" and Path(f"/proc/{page['pid']}").exists()
+        return None
     return False
+
+
+def _is_there(page: dict[str, Any] | None) -> bool:
+    """Whether the process is there that wrote the page."""
+    same_boot = page is not None and page.get("boot_id") == _boot_id()
+    return same_boot and page is not None and page["state"] == "running" and Path(f"/proc/{page['pid']}").exists()
 
 
 def _boot_id() -> str:

@@ -20,7 +20,7 @@ from pathlib import Path
 
 from sagnode.daemon.journal import Journal
 from sagnode.daemon.own_disk import FSTAB, OwnDisk
-from sagnode.daemon.places import JOURNAL
+from sagnode.daemon.places import JOURNAL, VOLATILE
 from sagnode.daemon.sequence import BLOCK, Ceiling
 from sagnode.errors import DiskError, JournalError, SagnodeError
 
@@ -70,7 +70,7 @@ class Stores:
         self.state_dir = state_dir
         self._own_disk = OwnDisk(state_dir, service_dir, fstab)
         self._counted_elsewhere = service_dir / "sequence" if service_dir else None
-        self._volatile_dir = runtime_dir / "volatile" if runtime_dir else None
+        self._volatile_dir = runtime_dir / VOLATILE if runtime_dir else None
         self._distrusted = False
         self._open: Store | None = None
         self._looked_at = float("-inf")
