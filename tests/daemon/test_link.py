@@ -252,3 +252,59 @@ def test_descriptors_above_a_thousand_are_as_good_as_others(tmp_path, node):
             subscriber.wait_for(lambda s: len(s.readings()) == 9)
             n.link.stop(5.0, OFFLINE)
         assert "connected" not in n.link.state
+
+
+def test_the_reason_to_hang_up_that_a_broker_gave_is_told_while_its_resets_overtake_the_next_ones(node):
+    quota_exceeded = bytes([0xE0, 2, 0x97, 0])
+    with Deaf(quota_exceeded, b"", b"") as broker:
+        n = node(port=broker.port)
+        n.wait_state("the broker hung up: Quota exceeded")
+        seen = set()
+        wait_for(lambda: seen.add(n.link.state) or broker.connections == 4)
+    where = f"127.0.0.1:{broker.port}"
+    assert seen == {f"{where}: the broker hung up: Quota exceeded", f"connected to {where}"}
+
+
+def test_what_is_larger_than_the_broker_takes_is_not_sent_and_said_and_the_rest_goes(tmp_path, node, caplog):
+    with Mosquitto(tmp_path, "max_packet_size 1000") as broker, Subscriber(broker.port) as subscriber:
+        n = node(port=broker.port)
+        n.make(2)
+        n.link.show("health", b"{}")
+        n.link.show("alarm/L1/sag", b"x" * 1000)
+        subscriber.wait_for(lambda s: s.of("health"))
+        wait_for(lambda: n.link.set_aside == 6 and "alarm" in n.link.delivery)
+        assert "takes packets of 1000" in n.link.delivery
+        assert "limit of a packet's size" in n.link.delivery
+        assert "alarm/L1/sag (" in n.link.delivery
+        time.sleep(1.0)
+        assert n.link.connected
+        assert caplog.text.count("connection") == 0
+        n.link.show("alarm/L1/sag", b"")
+        wait_for(lambda: "alarm" not in n.link.delivery)
+
+
+@pytest.mark.parametrize("size", [1, 100, 128, 16_300, 16_400])
+def test_a_packet_is_held_against_the_limit_to_the_byte(tmp_path, node, size):
+    topic, properties = len("t/1/x"), len(b"\x01\x01") + len(b"\x03\x00\x10application/json")
+    rest = 2 + topic + 2 + 1 + properties + size
+    packet = 1 + (1 if rest < 128 else 2 if rest < 16_384 else 3) + rest
+    for limit, taken in ((max(packet, 200), True), (packet - 1, False)):
+        if limit < 200:  # what the link itself says has to go through as well
+            continue
+        with Mosquitto(tmp_path, f"max_packet_size {limit}") as broker, Subscriber(broker.port) as subscriber:
+            n = node(port=broker.port)
+            n.wait_connected()
+            n.link.say("x", b"x" * size, content_type="application/json")
+            if taken:
+                subscriber.wait_for(lambda s: s.of("x"))
+            else:
+                wait_for(lambda n=n: "x (" in n.link.delivery)
+            assert n.link.connected
+            n.close()
+
+
+def test_a_broker_of_the_older_protocol_that_hangs_up_on_large_packets_is_not_blamed_on_the_name_alone(tmp_path, node):
+    with Mosquitto(tmp_path, "max_packet_size 1000") as broker:
+        n = node(port=broker.port, mqtt5=False)
+        n.make(1)
+        n.wait_state("it may not bear packets of")

@@ -54,11 +54,16 @@ class Cable:
 
 
 class Deaf:
-    """Takes an MQTT 5 connection and acknowledges nothing; counts PUBLISH packets."""
+    """Takes an MQTT 5 connection and acknowledges nothing; counts PUBLISH packets.
+
+    Args:
+        last_words: what it answers to the first PUBLISH of each connection before it hangs up, if it does.
+    """
 
     CONNACK = bytes([0x20, 3, 0, 0, 0])
 
-    def __init__(self):
+    def __init__(self, *last_words):
+        self._last_words = list(last_words)
         self._server = socket.create_server(("127.0.0.1", 0))
         self.port = self._server.getsockname()[1]
         self.publishes = 0
@@ -90,8 +95,17 @@ class Deaf:
                     connection.sendall(self.CONNACK)
                 elif head[0] >> 4 == 3:
                     self.publishes += 1
+                    if self._last_words:
+                        connection.sendall(self._last_words.pop(0))
+                        stream.detach().close()  # what is still to be read makes it a reset
+                        connection.close()
+                        return
         except (OSError, IndexError, ssl.SSLError):
             pass
+
+    @property
+    def connections(self):
+        return len(self._connections)
 
     def hang_up(self):
         for connection in self._connections:

@@ -45,6 +45,8 @@ class Link:
         self.connected = False
         self._connected_at = float("inf")
         self._failures = 0
+        self._told = ""
+        """Why the broker hung up the last time that it said so, while it does so again and again."""
 
     def start(self) -> None:
         """Begin to connect."""
@@ -99,10 +101,13 @@ class Link:
         said = []
         if self._outbox.set_aside:
             said.append(f"{self._outbox.set_aside} readings ({self._outbox.refusal})")
-        said += [f"{topic} (the broker answered: {why})" for topic, why in sorted(self._mailbox.refused.copy().items())]
+        said += [f"{topic} ({why})" for topic, why in sorted(self._mailbox.refused.copy().items())]
         if not said:
             return "ok"
-        return f"the broker does not take {', '.join(said)}; {self._terms.may_write()}, and see its log"
+        text = f"the broker does not take {', '.join(said)}"
+        remedies = [self._terms.may_write()] if "authorized" in text else []
+        remedies += ["raise its limit of a packet's size"] if "takes packets of" in text else []
+        return f"{text}; {' and '.join(remedies) or 'see its log'}"
 
     def stop(self, drain_s: float, status: bytes) -> None:
         """Send what is owed for so long, say goodbye and hang up; waits until that is done, a little longer at most."""
@@ -127,7 +132,7 @@ class Link:
                 self.state = f"left {self._terms.broker.address}"
                 break
             except LinkLostError as lost:
-                self._down(str(lost), by_broker=lost.by_broker)
+                self._down(self._reason(lost), by_broker=lost.by_broker)
             except (OSError, ValueError) as error:
                 self._down(self._terms.broker.explain(error), by_broker=False)
             except Exception as error:  # outermost loop of the thread: the next connection is a new start
@@ -139,6 +144,14 @@ class Link:
         self.connected = True
         self._connected_at = time.monotonic()
         self.state = f"connected to {self._terms.broker.address}"
+
+    def _reason(self, lost: LinkLostError) -> str:
+        """What the broker has said counts for the next times too: a reset may overtake its word, and leave a guess."""
+        if not lost.by_broker or time.monotonic() - self._connected_at > _STABLE_S:
+            self._told = ""
+        if lost.told:
+            self._told = str(lost)
+        return self._told or str(lost)
 
     def _down(self, text: str, *, by_broker: bool) -> None:
         if time.monotonic() - self._connected_at > _STABLE_S:

@@ -63,11 +63,18 @@ class Terms:
 
 
 class LinkLostError(Exception):
-    """The connection is of no use any more; ``by_broker`` says who ended it."""
+    """The connection is of no use any more.
 
-    def __init__(self, text: str, *, by_broker: bool) -> None:
+    Args:
+        text: one line.
+        by_broker: the broker ended it.
+        told: it said why.
+    """
+
+    def __init__(self, text: str, *, by_broker: bool, told: bool = False) -> None:
         super().__init__(text)
         self.by_broker = by_broker
+        self.told = told
 
 
 class Session:
@@ -91,12 +98,16 @@ class Session:
         self._client.on_disconnect = self._on_disconnect
         self._client.on_publish = self._on_publish
         self._client.on_message = self._on_message
+        # Else paho writes at once, ahead of what the broker has said: its reason to hang up would be lost for a reset.
+        self._client.on_socket_register_write = _later
         self._accepted = False
         self._accepted_at = 0.0
         self._refusal = ""
         self._readings: dict[int, int] = {}  # message id to sequence number
         self._papers: dict[int, str] = {}  # message id to topic of a document
         self._heads: dict[int, float] = {}  # oldest message without an acknowledgement, and since when it is that
+        self._largest = 0
+        """Size of the largest packet that was sent, bytes."""
         self._last_answer = time.monotonic()
         self._journal_again_at = 0.0
         self._complaints = Seldom(log)
@@ -171,11 +182,14 @@ class Session:
             self._lost()
 
     def _lost(self) -> None:
-        raise LinkLostError(f"{self._broker.address}: {self._refusal or self._hung_up()}", by_broker=True)
+        text = f"{self._broker.address}: {self._refusal or self._hung_up()}"
+        raise LinkLostError(text, by_broker=True, told=bool(self._refusal))
 
     def _hung_up(self) -> str:
         if self._accepted and time.monotonic() - self._accepted_at < _SOON_S:
-            return f"hung up soon after it accepted; another client may use mqtt.client_id = {self._broker.client_id}"
+            size = f"it may not bear packets of {self._largest} bytes, or " if self._largest else ""
+            who = f"another client may use mqtt.client_id = {self._broker.client_id}"
+            return f"hung up soon after it accepted; {size}{who}"
         if self._accepted:
             return "connection lost"
         told = self._broker.how_it_hangs_up()
@@ -202,17 +216,28 @@ class Session:
             if self._outbox.unwritten >= 50 or self._outbox.on_the_wire == 0 or self._quiet():
                 self._outbox.settle()
             for outgoing in self._outbox.take():
+                topic = f"{self._terms.prefix}/measurement/{outgoing.conductor}"
+                properties = self._broker.properties(expiry_s=outgoing.expires_in_s)
+                if too_large := self._too_large(topic, outgoing.payload, properties):
+                    self._outbox.refused(outgoing.sequence, too_large)
+                    continue
                 info = self._client.publish(
-                    f"{self._terms.prefix}/measurement/{outgoing.conductor}",
-                    outgoing.payload,
-                    qos=1,
-                    retain=not outgoing.backfill,
-                    properties=self._broker.properties(expiry_s=outgoing.expires_in_s),
+                    topic, outgoing.payload, qos=1, retain=not outgoing.backfill, properties=properties
                 )
                 self._readings[info.mid] = outgoing.sequence
         except JournalError as error:
             self._complaints.error(str(error))
             self._journal_again_at = time.monotonic() + 1.0
+
+    def _too_large(self, topic: str, payload: bytes, properties: Properties | None) -> str:
+        """Why this cannot be sent, in words, or nothing: a broker hangs up on what is larger than it said it takes."""
+        packed = 0 if properties is None else len(properties.pack())  # type: ignore[no-untyped-call]
+        rest = 2 + len(topic.encode()) + 2 + packed + len(payload)
+        size = 1 + (1 if rest < 128 else 2 if rest < 16_384 else 3 if rest < 2_097_152 else 4) + rest
+        if size > self._mailbox.packet_max:
+            return f"{size} bytes, and the broker takes packets of {self._mailbox.packet_max}"
+        self._largest = max(self._largest, size)
+        return ""
 
     def _quiet(self) -> bool:
         return time.monotonic() - self._last_answer > 0.05
@@ -233,13 +258,22 @@ class Session:
             properties = self._broker.properties(
                 content_type=note.content_type, correlation=note.correlation, about=note.about
             )
-            full = f"{self._terms.prefix}/{note.topic}"
-            self._papers[self._client.publish(full, note.payload, qos=1, properties=properties).mid] = note.topic
+            self._publish(note.topic, note.payload, properties, retain=False)
 
     def _show(self, topic: str, payload: bytes, expiry_s: float | None = None) -> None:
         properties = self._broker.properties(expiry_s=expiry_s)
+        self._publish(topic, payload, properties, retain=True)
+
+    def _publish(self, topic: str, payload: bytes, properties: Properties | None, *, retain: bool) -> None:
         full = f"{self._terms.prefix}/{topic}"
-        self._papers[self._client.publish(full, payload, qos=1, retain=True, properties=properties).mid] = topic
+        if too_large := self._too_large(full, payload, properties):
+            self._refuse(topic, too_large)
+            return
+        self._papers[self._client.publish(full, payload, qos=1, retain=retain, properties=properties).mid] = topic
+
+    def _refuse(self, topic: str, why: str) -> None:
+        self._mailbox.refused[topic] = why
+        self._complaints.error(f"{self._broker.address} does not take {topic}: {why}")
 
     def _say_goodbye(self, farewell: Farewell) -> None:
         """An orderly DISCONNECT discards the last will, so ``offline`` is said first, and acknowledged."""
@@ -250,6 +284,7 @@ class Session:
             self._turn(0.1)
         with contextlib.suppress(JournalError):
             self._outbox.settle()
+        self._client.on_socket_register_write = None
         self._client.disconnect()
         while self._client.want_write() and time.monotonic() < until:
             self._turn(0.1)
@@ -314,8 +349,7 @@ class Session:
         self._last_answer = time.monotonic()
         topic = self._papers.pop(mid, None)
         if topic is not None and reason.is_failure:
-            self._mailbox.refused[topic] = str(reason)
-            self._complaints.error(f"{self._broker.address} does not take {topic}: {reason}")
+            self._refuse(topic, f"the broker answered: {reason}")
         elif topic is not None:
             self._mailbox.refused.pop(topic, None)
         sequence = self._readings.pop(mid, None)
@@ -325,3 +359,8 @@ class Session:
             self._outbox.refused(sequence, f"the broker answered: {reason}")
         else:
             self._outbox.acknowledged(sequence)
+
+
+def _later(client: mqtt.Client, userdata: object, sock: object) -> None:
+    """What is to be written waits for the session's own turn."""
+    del client, userdata, sock
