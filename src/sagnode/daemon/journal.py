@@ -22,6 +22,7 @@ from pathlib import Path
 from sagnode.daemon import journal_table as table
 from sagnode.daemon.journal_file import is_damage, open_file
 from sagnode.daemon.journal_table import Backlog, Found, Row
+from sagnode.daemon.removed import Removal
 from sagnode.daemon.salvage import KeptLog, put_in_place, start_afresh
 from sagnode.daemon.sequence import Ceiling, Marks
 from sagnode.daemon.wal import lost_frames
@@ -54,6 +55,7 @@ class Journal:
     def __init__(self, path: Path, boot_id: str = "", counted_elsewhere: Path | None = None) -> None:
         self.path = path
         self._counted_elsewhere = counted_elsewhere
+        self._removal = Removal(path)
         self._marks = Marks(path.with_name("open"), boot_id)
         self.note = "ok"
         """What health says of the journal."""
@@ -72,6 +74,8 @@ class Journal:
             if (aside := put_in_place(self.path)) is not None:
                 self._ceiling.distrust()
                 self._remark(f"was damaged; kept as {aside.name}, a new one was started")
+            if self._removal.put_back():
+                self._remark("was removed while it was in use, and was put back")
             log_file = self.path.with_name(self.path.name + "-wal")
             kept_log = KeptLog(log_file)
             if torn := lost_frames(log_file):
@@ -85,7 +89,9 @@ class Journal:
                 if not is_damage(error):
                     raise
                 self._start_afresh(str(error))
+            self._removal.opened()
             self._take_back(kept_log)
+            self._bring_back()
             self._count_on()
             self._marks.opened()
 
@@ -110,6 +116,17 @@ class Journal:
             log.warning("journal: %d readings taken back from the damaged log", count)
         kept.forget()
 
+    def _bring_back(self) -> None:
+        """What a journal held that was replaced by another file while it was open."""
+        found = 0
+        for rows in self._removal.rows(_ADOPT_CHUNK):
+            self._ceiling.cover(max((row[0] for row in rows), default=0))
+            table.adopt(self._db, rows)
+            found += len(rows)
+        if found:
+            self._removal.forget()
+            self._remark(f"was replaced by another file while it was in use; {found} readings were brought back")
+
     def _count_on(self) -> None:
         newest = table.newest(self._db)
         self._next = max(self._next, self._ceiling.next_after(newest))
@@ -124,6 +141,13 @@ class Journal:
     def close(self) -> None:
         """Fold the log into the file and close it."""
         with self._lock:
+            try:
+                if self._removal.happened():
+                    self._removal.save(self._db)
+                    self._db.close()
+                    self._removal.put_back()
+            except (OSError, sqlite3.Error) as error:
+                log.critical("journal %s was removed, and what it held is lost: %s", self.path, error)
             folded = False
             with contextlib.suppress(sqlite3.Error):
                 self._db.execute("PRAGMA wal_checkpoint(TRUNCATE)")
@@ -154,6 +178,9 @@ class Journal:
             DiskError: the disk refuses; nothing was written, and the burst can be tried again.
         """
         with self._held():
+            if self._removal.happened():
+                self._removal.save(self._db)
+                self._suspect = True
             if self._suspect:
                 self._reopen()
                 # A commit that ended with an error may be found committed after all.
