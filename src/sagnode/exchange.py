@@ -79,8 +79,8 @@ class ResendCommand(_Command):
     """Publish readings once more that were acknowledged already, in order and marked as backfill."""
 
     command: Literal["resend"] = Field(description="readings once more")
-    from_sequence: int = Field(ge=1, le=2**62, description="the first")
-    to_sequence: int | None = Field(default=None, ge=1, le=2**62, description="the last; default: the newest")
+    from_sequence: int = Field(ge=1, le=2**62, strict=True, description="the first")
+    to_sequence: int | None = Field(default=None, ge=1, le=2**62, strict=True, description="the last; default: the newest")
 
 
 Command = Annotated[MeasureCommand | PictureCommand | ResendCommand, Field(discriminator="command")]

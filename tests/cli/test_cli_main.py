@@ -151,3 +151,39 @@ def test_a_program_that_asked_for_json_gets_its_error_as_json(capsys, tmp_path):
     assert "no such directory" in document["error"]
     assert document["remedy"]
     assert said.err.startswith("sagnode: error: ")
+
+
+SAGNODE = f"{sys.executable} -m sagnode"
+
+
+@pytest.mark.parametrize(
+    ("words", "code"),
+    [
+        ("status --state-dir {empty} >&-", 1),
+        ("status --state-dir {empty} 2>&-", 1),
+        ("status --state-dir {empty} >&- 2>&-", 1),
+        ("schema >&-", 0),
+        ("status --state-dir {empty}/nowhere 2>&-", 2),
+    ],
+)
+def test_a_closed_output_is_no_defect(tmp_path: Path, words: str, code: int) -> None:
+    line = f"{SAGNODE} {words.format(empty=tmp_path)}"
+    done = subprocess.run(["bash", "-c", line], capture_output=True, text=True, check=False)
+    assert done.returncode == code
+    assert "unexpected" not in done.stderr
+
+
+@pytest.mark.parametrize("words", ["status --state-dir {empty}", "schema", "--help"])
+def test_an_output_without_room_is_an_error_and_no_defect(tmp_path: Path, words: str) -> None:
+    line = f"{SAGNODE} {words.format(empty=tmp_path)} > /dev/full"
+    done = subprocess.run(["bash", "-c", line], capture_output=True, text=True, check=False)
+    assert done.returncode == 1
+    assert done.stderr.splitlines() == ["sagnode: error: the output cannot be written: no space is left where it goes"]
+
+
+def test_a_terminal_that_knows_ascii_only_gets_question_marks() -> None:
+    code = "from sagnode.cli import main as cli\ncli._dispatch = lambda words: print('8.00 \\u00b1 0.01 m') or 0\n"
+    code += "raise SystemExit(cli.main(['measure']))"
+    environment = {**os.environ, "PYTHONIOENCODING": "ascii"}
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, env=environment)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "8.00 ? 0.01 m\n", "")

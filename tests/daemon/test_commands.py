@@ -56,6 +56,8 @@ def test_a_command_waits_for_the_loop_and_its_reply_bears_both_correlations(aske
         ({"command": "picture", "conductor": "../../etc/passwd"}, "conductor"),
         ({"command": "resend", "from_sequence": 0}, "from_sequence"),
         ({"command": "resend", "from_sequence": 1e400}, "from_sequence"),
+        ({"command": "resend", "from_sequence": True}, "from_sequence"),
+        ({"command": "resend", "from_sequence": 1, "to_sequence": True}, "to_sequence"),
         ({"command": "measure", "correlation": "x" * 200}, "correlation"),
         (b'{"command":"measure","correlation":"' + b"x" * COMMAND_MAX_BYTES + b'"}', f"{COMMAND_MAX_BYTES} at most"),
     ],

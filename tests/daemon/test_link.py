@@ -308,3 +308,9 @@ def test_a_broker_of_the_older_protocol_that_hangs_up_on_large_packets_is_not_bl
         n = node(port=broker.port, mqtt5=False)
         n.make(1)
         n.wait_state("it may not bear packets of")
+
+
+def test_a_broker_that_keeps_no_messages_is_told_by_what_it_has_to_permit(tmp_path, node):
+    with Mosquitto(tmp_path, "retain_available false") as broker:
+        n = node(port=broker.port)
+        n.wait_state("Retain not supported; it must permit QoS 1 and retained messages")

@@ -12,7 +12,9 @@ from __future__ import annotations
 
 import argparse
 import difflib
+import errno
 import importlib
+import io
 import json
 import os
 import sys
@@ -91,6 +93,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         argv: the words after ``sagnode``; default: the process's own.
     """
     words = list(sys.argv[1:] if argv is None else argv)
+    _make_output_safe()
     try:
         code = _dispatch(words)
         sys.stdout.flush()
@@ -105,11 +108,32 @@ def main(argv: Sequence[str] | None = None) -> int:
         return EXIT_INTERRUPTED
     except BrokenPipeError:
         # The reader (head, less) has seen enough; the interpreter would complain once more when it flushes.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        _discard_output()
         return EXIT_PIPE_CLOSED
+    except OSError as error:
+        if error.errno != errno.ENOSPC or error.filename is not None:
+            return _print_defect(error)
+        print("sagnode: error: the output cannot be written: no space is left where it goes", file=sys.stderr)
+        _discard_output()
+        return EXIT_DEGRADED
     except Exception as error:  # noqa: BLE001 - the outermost frame: a user gets a line, not a traceback
         return _print_defect(error)
     return code
+
+
+def _make_output_safe() -> None:
+    """A closed output swallows what is written, and a character that it does not know becomes a question mark."""
+    for name in ("stdout", "stderr"):
+        stream = getattr(sys, name)
+        if stream is None:
+            setattr(sys, name, Path(os.devnull).open("w", encoding="utf-8"))  # noqa: SIM115 - open until the end
+        elif isinstance(stream, io.TextIOWrapper) and stream.errors == "strict":
+            stream.reconfigure(errors="replace")
+
+
+def _discard_output() -> None:
+    """What is still to be written goes nowhere."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _dispatch(words: list[str]) -> int:

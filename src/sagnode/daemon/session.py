@@ -311,6 +311,8 @@ class Session:
             remedy = "check mqtt.username and mqtt.password_file"
             if "protocol" in str(reason).lower():
                 remedy = 'set mqtt.protocol = "3.1.1"' if self._broker.mqtt5 else "it speaks neither MQTT 5 nor 3.1.1"
+            if "not supported" in str(reason).lower():
+                remedy = "it must permit QoS 1 and retained messages"
             self._refusal = f"refused: {reason}; {remedy}"
             return
         self._outbox.limit(getattr(properties, "ReceiveMaximum", 65535))

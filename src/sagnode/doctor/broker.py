@@ -143,7 +143,10 @@ def _log_in(broker: Broker, *, beside: bool) -> Finding:
         return fault(LOGIN, f"{broker.address} {said}", remedy)
     reason = answers[0]
     if getattr(reason, "is_failure", False):
-        return fault(LOGIN, f"{broker.address} refused: {reason}", "check mqtt.username, password_file and certificate")
+        remedy = "check mqtt.username, password_file and certificate"
+        if "not supported" in str(reason).lower():
+            remedy = "it must permit QoS 1 and retained messages"
+        return fault(LOGIN, f"{broker.address} refused: {reason}", remedy)
     return ok(LOGIN, f"{broker.address} accepts {broker.client_id}, MQTT {'5' if broker.mqtt5 else '3.1.1'}")
 
 
