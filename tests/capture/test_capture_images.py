@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import struct
 import zlib
 from pathlib import Path
@@ -12,6 +13,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from sagnode.capture import images
 from sagnode.capture.images import MAX_PIXELS, decode_grey, read_grey, to_grey8
 from sagnode.errors import FrameError
 from sagnode.quality import Cause
@@ -51,8 +53,10 @@ PNG = encoded(".png", COLOUR)
         (JPEG, LUMA, 24),
         (PROGRESSIVE, LUMA, 24),
         (JPEG + bytes(64), LUMA, 24),
+        (JPEG[:-2] + bytes(9) + JPEG[-2:], LUMA, 24),
+        (JPEG[:-2] + bytes(9) + b"\xff" * 7 + JPEG[-2:], LUMA, 24),
     ],
-    ids=["png", "grey", "alpha", "png16", "tiff", "tiff16", "pgm", "ppm", "jpeg", "progressive", "padded"],
+    ids="png grey alpha png16 tiff tiff16 pgm ppm jpeg progressive padded filled filled-twice".split(),
 )
 def test_every_kind_gives_the_same_luma(data: bytes, expected: np.ndarray, tolerance: int) -> None:
     grey = decode_grey(data, "here")
@@ -79,7 +83,27 @@ def test_twelve_bits_without_scaling_are_refused_and_not_shown_black() -> None:
     assert caught.value.cause is Cause.DARK
 
 
+def test_one_wrong_bit_that_the_decoder_stumbles_over_is_damage() -> None:
+    """A bit that makes a code longer or shorter shifts all that follows, and leaves a few bytes over at the end."""
+    jpeg = encoded(".jpg", GREY)
+    whole = decode_grey(jpeg, "whole").astype(int)
+    start = jpeg.index(b"\xff\xda") + 14
+    shifted = 0
+    for at in np.random.default_rng(5).integers(8 * start, 8 * (len(jpeg) - 2), 400).tolist():
+        data = bytearray(jpeg)
+        data[at // 8] ^= 1 << at % 8
+        pixels, said = images._decode(bytes(data))
+        few = [re.search(r" (\d+) extraneous", line) for line in said]
+        if few and few[0] and int(few[0][1]) <= 16 and pixels is not None:
+            shifted += int(np.abs(pixels - whole).max()) > 24
+            with pytest.raises(FrameError, match="damaged"):
+                decode_grey(bytes(data), "frame")
+    assert shifted >= 20
+
+
 HALF = len(JPEG) // 2
+RESTARTS = encoded(".jpg", COLOUR, cv2.IMWRITE_JPEG_RST_INTERVAL, 2)
+RESTART = RESTARTS.index(b"\xff\xd4")
 
 
 @pytest.mark.parametrize(
@@ -92,6 +116,9 @@ HALF = len(JPEG) // 2
         (PROGRESSIVE[: len(PROGRESSIVE) * 2 // 3], "cut off"),
         (JPEG[:HALF] + b"\xff\xd9", "damaged"),
         (JPEG[:HALF] + bytes(400) + JPEG[HALF + 400 :], "damaged"),
+        (JPEG[:-2] + b"\x5a" * 9 + JPEG[-2:], "damaged"),
+        (JPEG[:-2] + bytes(100) + JPEG[-2:], "damaged"),
+        (RESTARTS[:RESTART] + bytes(9) + RESTARTS[RESTART:], "damaged"),
         (PNG[: len(PNG) // 2], "cut off"),
         (PNG[:-12], "cut off"),
         (PNG[:5000] + bytes([PNG[5000] ^ 1]) + PNG[5001:], "checksum"),

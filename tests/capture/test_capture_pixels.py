@@ -112,6 +112,9 @@ def test_motion_jpeg_is_decoded_whole_or_refused() -> None:
     jpeg = cv2.imencode(".jpg", LUMA, [cv2.IMWRITE_JPEG_QUALITY, 98])[1].reshape(-1)
     grey = grey_of_buffer(jpeg, "MJPG", W, H, 0, "camera")
     assert int(np.abs(grey.astype(int) - LUMA).max()) < 12
+    for fill in (0, 255, 90):  # drivers hand on their whole buffer, whatever is in the rest of it
+        whole_buffer = np.concatenate([jpeg, np.full(500, fill, np.uint8)])
+        assert np.array_equal(grey_of_buffer(whole_buffer, "MJPG", W, H, 0, "camera"), grey)
     with pytest.raises(FrameError, match="cut off"):
         grey_of_buffer(jpeg[: len(jpeg) // 2], "MJPG", W, H, 0, "camera")
     with pytest.raises(FrameError, match="48x34"):

@@ -45,6 +45,7 @@ class Header:
         height: rows.
         full_scale: sample value of white where the file states it.
         pixel_bytes: what one pixel takes when it is decoded.
+        padding: zero bytes at the end of a JPEG's last scan.
     """
 
     kind: str
@@ -52,6 +53,7 @@ class Header:
     height: int
     full_scale: int | None = None
     pixel_bytes: int = 3
+    padding: int = 0
 
 
 def read_header(data: bytes) -> Header:
@@ -76,7 +78,7 @@ def read_header(data: bytes) -> Header:
 def exif_taken(data: bytes) -> tuple[str, str | None, str | None] | None:
     """DateTimeOriginal, SubSecTimeOriginal and OffsetTimeOriginal of a JPEG, as written; None where there is none."""
     try:
-        for marker, body in _jpeg_segments(data):
+        for marker, body, _ in _jpeg_segments(data):
             if marker == 0xE1 and body.startswith(b"Exif\0\0"):
                 return _exif_of_tiff(body[6:])
     except DamagedError:
@@ -84,8 +86,8 @@ def exif_taken(data: bytes) -> tuple[str, str | None, str | None] | None:
     return None
 
 
-def _jpeg_segments(data: bytes) -> Iterator[tuple[int, bytes]]:
-    """Markers with their segments up to the end of the image; scans are passed over."""
+def _jpeg_segments(data: bytes) -> Iterator[tuple[int, bytes, int]]:
+    """Markers with their segments up to the end of the image, and where each begins; scans are passed over."""
     at = 2
     for _ in range(MAX_PARTS):
         if at + 2 > len(data):
@@ -97,7 +99,7 @@ def _jpeg_segments(data: bytes) -> Iterator[tuple[int, bytes]]:
             at += 1
             continue
         if marker == 0xD9:
-            yield marker, b""
+            yield marker, b"", at
             return
         at += 2
         if marker in _JPEG_LONE:
@@ -107,7 +109,7 @@ def _jpeg_segments(data: bytes) -> Iterator[tuple[int, bytes]]:
         (length,) = struct.unpack_from(">H", data, at)
         if length < 2 or at + length > len(data):
             raise DamagedError(f"is cut off: a JPEG segment at byte {at} leaves the file")
-        yield marker, data[at + 2 : at + length]
+        yield marker, data[at + 2 : at + length], at - 2
         at += length
         if marker == 0xDA:
             end = _END_OF_SCAN.search(data, at)
@@ -119,8 +121,8 @@ def _jpeg_segments(data: bytes) -> Iterator[tuple[int, bytes]]:
 
 def _jpeg(data: bytes) -> Header:
     size: tuple[int, int] | None = None
-    scans = 0
-    for marker, body in _jpeg_segments(data):
+    scans = end = 0
+    for marker, body, end in _jpeg_segments(data):  # noqa: B007 - the last one is the end of the image
         if marker in _JPEG_SOF and size is None:
             if len(body) < 6:
                 raise DamagedError("is damaged: its JPEG frame header is too short")
@@ -131,7 +133,9 @@ def _jpeg(data: bytes) -> Header:
             raise DamagedError(f"has more than {MAX_SCANS} JPEG scans")
     if size is None or not scans:
         raise DamagedError("is damaged: a JPEG without picture data")
-    return Header("JPEG", *size)
+    # before a marker any number of ff may stand (T.81, B.1.1.2)
+    last = data[max(0, end - 1000) : end].rstrip(b"\xff")
+    return Header("JPEG", *size, padding=len(last) - len(last.rstrip(b"\0")))
 
 
 def _png(data: bytes) -> Header:

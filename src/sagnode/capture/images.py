@@ -33,9 +33,10 @@ MAX_FILE_BYTES = 8 * MAX_PIXELS
 _REMEDY = "take or copy the picture again"
 _KINDS_REMEDY = "give a JPEG, PNG, TIFF or binary PGM/PPM picture"
 _RIGHT_ALIGNED = 4096
-_STRAY_BYTES = re.compile(r"Corrupt JPEG data: (\d+) extraneous bytes before marker")
+_STRAY_BYTES = re.compile(r"Corrupt JPEG data: (\d+) extraneous bytes before marker 0xd9")
 _COMPLAINTS = ("Corrupt JPEG data", "Premature end of JPEG", "Inconsistent progression", "libpng error")
-_STRAY_BYTES_ALLOWED = 16  # some cameras fill a scan up to a word; a scan that lost its place leaves hundreds
+_PADDING = range(4, 33)
+"""Zeros at the end of a scan with which some cameras fill it up. Fewer may be the picture's own, more a hole in it."""
 
 _stderr_lock = threading.Lock()
 
@@ -75,7 +76,7 @@ def decode_grey(data: bytes, source: str) -> GreyImage:
         raise _bad(f"{source} {error}", _KINDS_REMEDY if str(error).startswith("is not") else _REMEDY) from None
     _check_size(header, source)
     pixels, said = _decode(data)
-    complaint = _complaint(said)
+    complaint = _complaint(said, header.padding)
     if complaint:
         raise _bad(f"{source} is damaged: {complaint}", _REMEDY)
     if pixels is None:
@@ -140,12 +141,16 @@ def _check_size(header: Header, source: str) -> None:
         raise _bad(f"{source} is {header.width}x{header.height} px; at least {MIN_SIDE} a side are needed", _REMEDY)
 
 
-def _complaint(said: list[str]) -> str | None:
-    """What the decoders said that means picture data were lost."""
+def _complaint(said: list[str], padding: int) -> str | None:
+    """What the decoders said that means picture data were lost.
+
+    libjpeg says only the first thing that it finds. Bytes that are left over at the picture's end can be known for
+    padding; anywhere else, or of another value, they show that one wrong bit has shifted what follows.
+    """
     for line in said:
         if line.startswith(_COMPLAINTS):
             stray = _STRAY_BYTES.match(line)
-            if stray is None or int(stray[1]) > _STRAY_BYTES_ALLOWED:
+            if stray is None or padding not in _PADDING or int(stray[1]) > padding:
                 return line
     return None
 
