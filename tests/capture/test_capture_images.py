@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import re
 import struct
+import subprocess
+import sys
 import zlib
 from pathlib import Path
 
@@ -56,7 +58,6 @@ PNG = encoded(".png", COLOUR)
         (JPEG[:-2] + bytes(9) + JPEG[-2:], LUMA, 24),
         (JPEG[:-2] + bytes(9) + b"\xff" * 7 + JPEG[-2:], LUMA, 24),
     ],
-    ids="png grey alpha png16 tiff tiff16 pgm ppm jpeg progressive padded filled filled-twice".split(),
 )
 def test_every_kind_gives_the_same_luma(data: bytes, expected: np.ndarray, tolerance: int) -> None:
     grey = decode_grey(data, "here")
@@ -92,7 +93,7 @@ def test_one_wrong_bit_that_the_decoder_stumbles_over_is_damage() -> None:
     for at in np.random.default_rng(5).integers(8 * start, 8 * (len(jpeg) - 2), 400).tolist():
         data = bytearray(jpeg)
         data[at // 8] ^= 1 << at % 8
-        pixels, said = images._decode(bytes(data))
+        pixels, said = images._decode(bytes(data), "frame")
         few = [re.search(r" (\d+) extraneous", line) for line in said]
         if few and few[0] and int(few[0][1]) <= 16 and pixels is not None:
             shifted += int(np.abs(pixels - whole).max()) > 24
@@ -136,6 +137,47 @@ def test_what_is_not_a_whole_picture_is_refused(data: bytes, says: str, capfd: p
     assert caught.value.remedy
     assert "\n" not in str(caught.value)
     assert capfd.readouterr().err == ""  # the decoders' own words stay out of a user's sight
+
+
+HOLED = JPEG[:HALF] + bytes(400) + JPEG[HALF + 400 :]
+IN_A_PROCESS = """
+import os, resource, signal, sys
+from sagnode.capture.images import read_grey
+from sagnode.errors import FrameError
+answers = os.dup(1)
+signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+{before}
+for path in sys.argv[1:]:
+    try:
+        said = f"read {{read_grey(path).shape}}"
+    except FrameError as error:
+        said = str(error)
+    os.write(answers, (said + chr(10)).encode())
+"""
+
+
+@pytest.mark.parametrize(
+    ("before", "sound", "holed"),
+    [
+        ("", "read (120, 160)", "damaged: Corrupt JPEG data"),
+        ("os.close(2)", "read (120, 160)", "damaged: Corrupt JPEG data"),
+        ("for i in 0, 1, 2: os.close(i)", "read (120, 160)", "damaged: Corrupt JPEG data"),
+        ("import tempfile; tempfile.tempdir = '/nowhere'", "read (120, 160)", "damaged: Corrupt JPEG data"),
+        # nothing can be kept: then nothing is believed
+        ("resource.setrlimit(resource.RLIMIT_FSIZE, (20, 20))", "could not be looked at for damage", "for damage"),
+        ("resource.setrlimit(resource.RLIMIT_NOFILE, (answers + 2,) * 2)", "for damage: Too many", "for damage"),
+    ],
+    ids=["plain", "no-stderr", "no-streams", "no-temporary-directory", "no-room", "no-descriptors"],
+)
+def test_damage_is_known_wherever_the_decoder_may_write(tmp_path: Path, before: str, sound: str, holed: str) -> None:
+    """libjpeg tells of lost data on standard error alone. A full disk there, or none, must not make them whole."""
+    (tmp_path / "sound.jpg").write_bytes(JPEG)
+    (tmp_path / "holed.jpg").write_bytes(HOLED)
+    code = IN_A_PROCESS.format(before=before)
+    words = [sys.executable, "-c", code, tmp_path / "sound.jpg", tmp_path / "holed.jpg"]
+    of_sound, of_holed = subprocess.run(words, stdout=subprocess.PIPE, text=True, timeout=60).stdout.splitlines()
+    assert sound in of_sound
+    assert holed in of_holed
 
 
 def test_a_bomb_is_refused_by_its_header() -> None:

@@ -6,12 +6,14 @@ not applied, since the intrinsics belong to the sensor.
 
 from __future__ import annotations
 
+import contextlib
+import errno
+import fcntl
 import os
 import re
-import tempfile
 import threading
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import cv2
 import numpy as np
@@ -75,7 +77,7 @@ def decode_grey(data: bytes, source: str) -> GreyImage:
     except DamagedError as error:
         raise _bad(f"{source} {error}", _KINDS_REMEDY if str(error).startswith("is not") else _REMEDY) from None
     _check_size(header, source)
-    pixels, said = _decode(data)
+    pixels, said = _decode(data, source)
     complaint = _complaint(said, header.padding)
     if complaint:
         raise _bad(f"{source} is damaged: {complaint}", _REMEDY)
@@ -155,31 +157,87 @@ def _complaint(said: list[str], padding: int) -> str | None:
     return None
 
 
-def _decode(data: bytes) -> tuple[NDArray[Any] | None, list[str]]:
-    """Decode, and keep what libjpeg and libpng write to file descriptor 2, their only way to tell of lost data.
+def _decode(data: bytes, source: str) -> tuple[NDArray[Any] | None, list[str]]:
+    """Decode, and keep what the decoders write to file descriptor 2, their only way to tell of lost data.
 
     What another thread writes to standard error in these milliseconds is handed on afterwards.
+
+    Raises:
+        FrameError: what they say could not be kept, so that nobody would know of damage.
     """
     buffer = np.frombuffer(data, np.uint8)
-    with _stderr_lock, tempfile.TemporaryFile() as sink:
+    with _stderr_lock:
         try:
-            kept = os.dup(2)
-        except OSError:  # no standard error at all: nothing to keep
-            return _imdecode(buffer), []
-        try:
-            os.dup2(sink.fileno(), 2)
-            pixels = _imdecode(buffer)
-        finally:
-            os.dup2(kept, 2)
-            os.close(kept)
-        sink.seek(0)
-        said = sink.read().decode("utf-8", "replace").splitlines()
+            with _Overheard() as heard:
+                pixels = _imdecode(buffer)
+        except OSError as error:
+            what = f"{source} could not be looked at for damage: {error.strerror or error}"
+            raise _bad(
+                what, "restart the program; if it happens again, look for what uses up memory or files"
+            ) from None
+    said = heard.said
     others = [
         line for line in said if line and not line.startswith((*_COMPLAINTS, "libpng", "[ WARN", "[ERROR", "imdecode_"))
     ]
     if others:
-        os.write(2, "\n".join([*others, ""]).encode())
+        with contextlib.suppress(OSError):
+            os.write(2, "\n".join([*others, ""]).encode())
     return pixels, said
+
+
+class _Overheard:
+    """Standard error in a file of memory's: no disk can be full, and no directory missing.
+
+    Raises:
+        OSError: it could not be kept whole, from the first line to the last.
+    """
+
+    _FIRST, _LAST = b"-- from here\n", b"\n-- to here\n"
+
+    def __init__(self) -> None:
+        self.said: list[str] = []
+
+    def __enter__(self) -> Self:
+        self._sink = _above_standard(os.memfd_create("decoder-says"))
+        self._kept: int | None = None
+        try:
+            try:
+                self._kept = fcntl.fcntl(2, fcntl.F_DUPFD_CLOEXEC, 3)
+            except OSError as error:
+                if error.errno != errno.EBADF:
+                    raise
+            os.dup2(self._sink, 2)
+        except OSError:
+            os.close(self._sink)
+            raise
+        with contextlib.suppress(OSError):  # the end shows that it is missing
+            os.write(2, self._FIRST)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        with contextlib.suppress(OSError):
+            os.write(2, self._LAST)
+        if self._kept is None:
+            os.close(2)
+        else:
+            os.dup2(self._kept, 2)
+            os.close(self._kept)
+        with os.fdopen(self._sink, "rb") as sink:
+            sink.seek(0)
+            heard = sink.read()
+        if not (heard.startswith(self._FIRST) and heard.endswith(self._LAST)):
+            raise OSError(errno.EIO, "what the decoder said was lost")
+        self.said = heard[len(self._FIRST) : -len(self._LAST)].decode("utf-8", "replace").splitlines()
+
+
+def _above_standard(descriptor: int) -> int:
+    """The same file under a number that no standard stream has, for those may be closed."""
+    if descriptor > 2:
+        return descriptor
+    try:
+        return fcntl.fcntl(descriptor, fcntl.F_DUPFD_CLOEXEC, 3)
+    finally:
+        os.close(descriptor)
 
 
 def _imdecode(buffer: NDArray[np.uint8]) -> NDArray[Any] | None:
