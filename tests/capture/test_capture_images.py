@@ -39,6 +39,7 @@ LUMA = cv2.cvtColor(COLOUR, cv2.COLOR_BGR2GRAY)
 JPEG = encoded(".jpg", COLOUR)
 PROGRESSIVE = encoded(".jpg", COLOUR, cv2.IMWRITE_JPEG_PROGRESSIVE, 1)
 PNG = encoded(".png", COLOUR)
+PGM = encoded(".pgm", GREY)
 
 
 @pytest.mark.parametrize(
@@ -125,6 +126,7 @@ RESTART = RESTARTS.index(b"\xff\xd4")
         (PNG[:5000] + bytes([PNG[5000] ^ 1]) + PNG[5001:], "checksum"),
         (encoded(".tif", COLOUR)[:-200], "cut off"),
         (b"P5 160 120 255\n" + bytes(100), "cut off"),
+        (PGM[:5000] + bytes(8) + PGM[5000:], "8 bytes more"),
         (encoded(".tif", COLOUR.astype(np.float32)), "float32"),
         (encoded(".png", GREY[:8, :8]), "8x8"),
     ],
@@ -137,6 +139,29 @@ def test_what_is_not_a_whole_picture_is_refused(data: bytes, says: str, capfd: p
     assert caught.value.remedy
     assert "\n" not in str(caught.value)
     assert capfd.readouterr().err == ""  # the decoders' own words stay out of a user's sight
+
+
+def test_the_same_pgm_is_read_without_bytes_too_many() -> None:
+    assert np.array_equal(decode_grey(PGM, "here"), GREY)
+
+
+@pytest.mark.parametrize("hushed", [False, True])
+@pytest.mark.parametrize("picture", [GREY, COLOUR], ids=["grey", "colour"])
+@pytest.mark.parametrize("compression", [5, 8, 32946], ids=["lzw", "deflate", "old-deflate"])
+def test_damage_in_a_packed_tiff_is_damage(compression: int, picture: np.ndarray, hushed: bool) -> None:
+    """OpenCV hands on what could not be unpacked as rows of anything, and libtiff looks at no checksum."""
+    whole = encoded(".tif", picture, cv2.IMWRITE_TIFF_COMPRESSION, compression)
+    expected = picture if picture.ndim == 2 else LUMA
+    assert np.array_equal(decode_grey(whole, "whole"), expected)
+    before = cv2.utils.logging.getLogLevel()
+    if hushed:
+        cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
+    try:
+        for at in range(200, len(whole) - 600, 997):
+            with pytest.raises(FrameError, match="is damaged"):
+                decode_grey(whole[:at] + bytes(30) + whole[at + 30 :], "frame")
+    finally:
+        cv2.utils.logging.setLogLevel(before)
 
 
 HOLED = JPEG[:HALF] + bytes(400) + JPEG[HALF + 400 :]

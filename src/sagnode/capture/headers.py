@@ -20,7 +20,9 @@ _END_OF_SCAN = re.compile(rb"\xff+[\x01-\xcf\xd8-\xfe]")
 _PNM = re.compile(rb"P([56])(?:\s|#[^\n]*\n)+(\d{1,9})(?:\s|#[^\n]*\n)+(\d{1,9})(?:\s|#[^\n]*\n)+(\d{1,5})\s")
 _PNM_HEAD = 4096  # bytes; comments may be long, and a file of nothing but blanks longer
 _TIFF_SIZES = {1: 1, 2: 1, 3: 2, 4: 4, 7: 1}
-_TIFF_TAGS = frozenset({256, 257, 258, 262, 273, 277, 279, 324, 325})
+_TIFF_TAGS = frozenset({256, 257, 258, 259, 262, 273, 277, 279, 324, 325})
+_AT_ONCE = 1 << 20  # bytes
+_TIFF_DEFLATE = frozenset({8, 32946})
 _EXIF_POINTER = frozenset({0x8769})
 _EXIF_TIMES = frozenset({0x9003, 0x9011, 0x9291})
 _PNG_CHANNELS = {0: 1, 2: 3, 3: 4, 4: 4, 6: 4}  # as decoded: a palette and grey with alpha are widened
@@ -177,8 +179,11 @@ def _pnm(data: bytes) -> Header:
         raise DamagedError(f"is damaged: its PGM/PPM maximum is {white}")
     pixel_bytes = (1 if head[1] == b"5" else 3) * (1 if white < 256 else 2)
     wanted = width * height * pixel_bytes
-    if len(data) - head.end() < wanted:
-        raise DamagedError(f"is cut off: {len(data) - head.end()} of {wanted} bytes of picture data")
+    got = len(data) - head.end()
+    if got < wanted:
+        raise DamagedError(f"is cut off: {got} of {wanted} bytes of picture data")
+    if got > wanted:  # where they came in nobody knows: all behind them is shifted
+        raise DamagedError(f"is damaged: {got - wanted} bytes more than its {wanted} of picture data")
     return Header("PGM" if head[1] == b"5" else "PPM", width, height, white, pixel_bytes)
 
 
@@ -194,7 +199,31 @@ def _tiff(data: bytes) -> Header:
     bits = max(tags.get(258) or (1,), default=1)
     samples = max(tags.get(277) or (1,), default=1)
     palette = 3 in (tags.get(262) or ())
+    if not _TIFF_DEFLATE.isdisjoint(tags.get(259) or ()):
+        parts = (data[o : o + n] for o, n in zip(offsets, counts, strict=True))
+        _check_sums(parts, (width + 1024) * (height + 1024) * -(-bits // 8) * samples)
     return Header("TIFF", width, height, pixel_bytes=max(3 if palette else 1, -(-bits // 8) * samples))
+
+
+def _check_sums(parts: Iterator[bytes], most: int) -> None:
+    """Refuse deflated data that fail the checksum at their end: libtiff does not read as far.
+
+    Args:
+        parts: each with a checksum of its own.
+        most: bytes that they may unpack to; tiles may reach over the picture's edge.
+    """
+    for part in parts:
+        unpacker = zlib.decompressobj()
+        left = part
+        while not unpacker.eof:
+            try:
+                unpacked = len(unpacker.decompress(left, _AT_ONCE))
+            except zlib.error:
+                raise DamagedError("is damaged: its deflated data fail their checksum") from None
+            left = unpacker.unconsumed_tail
+            most -= unpacked
+            if most < 0 or not (unpacked or unpacker.eof):
+                raise DamagedError("is damaged: its deflated data are of another size than the picture")
 
 
 def _exif_of_tiff(data: bytes) -> tuple[str, str | None, str | None] | None:

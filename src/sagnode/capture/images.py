@@ -37,6 +37,7 @@ _KINDS_REMEDY = "give a JPEG, PNG, TIFF or binary PGM/PPM picture"
 _RIGHT_ALIGNED = 4096
 _STRAY_BYTES = re.compile(r"Corrupt JPEG data: (\d+) extraneous bytes before marker 0xd9")
 _COMPLAINTS = ("Corrupt JPEG data", "Premature end of JPEG", "Inconsistent progression", "libpng error")
+_TIFF_COMPLAINT = re.compile(r"TIFF_(Error|Warning (\w*Decode|JPEGLib)).*")
 _PADDING = range(4, 33)
 """Zeros at the end of a scan with which some cameras fill it up. Fewer may be the picture's own, more a hole in it."""
 
@@ -154,6 +155,9 @@ def _complaint(said: list[str], padding: int) -> str | None:
             stray = _STRAY_BYTES.match(line)
             if stray is None or padding not in _PADDING or int(stray[1]) > padding:
                 return line
+        of_tiff = _TIFF_COMPLAINT.search(line)
+        if of_tiff is not None:
+            return of_tiff[0]
     return None
 
 
@@ -241,10 +245,15 @@ def _above_standard(descriptor: int) -> int:
 
 
 def _imdecode(buffer: NDArray[np.uint8]) -> NDArray[Any] | None:
+    log = cv2.utils.logging
+    level = log.getLogLevel()
+    log.setLogLevel(max(level, log.LOG_LEVEL_WARNING))  # OPENCV_LOG_LEVEL may have hushed libtiff
     try:
         return cv2.imdecode(buffer, cv2.IMREAD_UNCHANGED)
     except cv2.error:
         return None
+    finally:
+        log.setLogLevel(level)
 
 
 def write_png(path: Path, picture: NDArray[Any]) -> None:
