@@ -8,7 +8,9 @@ their way into the raw frame, which is exact and touches only the pixels that ar
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import replace
 from functools import partial
+from math import isfinite
 
 from sagnode.capture.port import GreyImage
 from sagnode.estimate.combine import combine_burst
@@ -17,6 +19,7 @@ from sagnode.estimate.judge import borne_out, look
 from sagnode.estimate.locate import locate
 from sagnode.estimate.register import register
 from sagnode.estimate.tell import refused, tell
+from sagnode.geometry.quantities import POSSIBLE_TEMPERATURES_C
 from sagnode.match.appearances import Appearances
 from sagnode.match.library import Shelf
 from sagnode.measurement import ConductorMeasurement, FrameMeasurement
@@ -63,4 +66,16 @@ def _measured(site: Site, image: GreyImage, kept: Appearances, shelf: Shelf | No
     # match and refine, then solve: every conductor, known neighbours included
     located = locate(site, image, registered, shelf)
     # tell: the numbers and how sure they are, where the judgement lets them be told
-    return borne_out([tell(site, c, registered, located.get(c.id)) for c in site.conductors if c.measured])
+    told = [tell(site, c, registered, located.get(c.id)) for c in site.conductors if c.measured]
+    return borne_out([_without_impossible(frame) for frame in told])
+
+
+def _without_impossible(frame: FrameMeasurement) -> FrameMeasurement:
+    """Without a conductor temperature that no conductor can have: the stringing data it comes from are wrong."""
+    temperature = frame.estimates.get("conductor_temp")
+    low, high = POSSIBLE_TEMPERATURES_C
+    if temperature is None or (low <= temperature.value <= high and isfinite(temperature.u)):
+        return frame
+    estimates = {stem: value for stem, value in frame.estimates.items() if stem != "conductor_temp"}
+    budget = {stem: parts for stem, parts in frame.budget.items() if stem != "conductor_temp"}
+    return replace(frame, estimates=estimates, budget=budget)

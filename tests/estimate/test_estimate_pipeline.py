@@ -238,6 +238,22 @@ def test_temperature_is_derived_in_calm_air_and_withheld_in_wind(tmp_path: Path)
         assert all(("conductor_temp" in m.estimates) is told for m in measured)
 
 
+@pytest.mark.parametrize("wrong", [{"tension_n": 250.0}, {"temperature_c": -270.0}, {"tension_n": 1e-6}])
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")
+def test_a_temperature_that_no_conductor_can_have_is_not_told(
+    scene_and_moment: tuple[Scene, Moment], tmp_path: Path, wrong: dict[str, float]
+) -> None:
+    """Stringing data in decanewton, from a wrong line, or that give no number at all; the rest is told all the same."""
+    data = {"temperature_c": 15.0, "tension_n": 2500.0, "section_mm2": 282.5, "modulus_gpa": 77.0}
+    stringing = Stringing(**{**data, **wrong}, expansion_per_k=18.9e-6)
+    scene, moment = scene_and_moment
+    conductors = tuple(c.model_copy(update={"stringing": stringing}) for c in scene.surveyed.conductors)
+    scene = replace(scene, surveyed=scene.surveyed.model_copy(update={"conductors": conductors}))
+    for m in measure_burst(site_of(scene, moment, tmp_path), [render(scene, moment).image]):
+        assert {"sag", "clearance", "tension"} <= m.estimates.keys()
+        assert "conductor_temp" not in m.estimates | m.budget
+
+
 def test_without_undistortion_the_lens_is_taken_for_perfect(
     scene_and_moment: tuple[Scene, Moment], tmp_path: Path
 ) -> None:

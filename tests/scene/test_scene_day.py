@@ -46,9 +46,8 @@ def test_sag_rises_with_temperature_as_the_published_span_does() -> None:
         "modulus_gpa": 60.0,
         "expansion_per_k": 23e-6,
     }
-    conductor = type(conductor).model_validate(
-        conductor.model_dump() | {"stringing": stringing, "unit_weight_n_m": 17.658}
-    )
+    aster = {"stringing": stringing, "unit_weight_n_m": 17.658, "diameter_m": 0.0319}
+    conductor = type(conductor).model_validate(conductor.model_dump() | aster)
     sags = [sag_at_temperature(conductor, t) for t in (15.0, 40.0, 60.0, 80.0)]
     assert sags == pytest.approx([7.585, 8.463, 9.122, 9.745], abs=0.012)
 

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from sagnode.check.landmark_sights import landmark_warnings
+from sagnode.check.wire_warnings import obstacle_warnings, wire_warnings
 from sagnode.config.lines import KeyPath
 from sagnode.config.span import Conductor, Span
 from sagnode.errors import FrameError
@@ -53,9 +54,11 @@ def survey_warnings(span: Span, intrinsics: Intrinsics) -> Iterator[Warned]:
     yield from landmark_warnings(span, intrinsics, pose)
     ground = _ground(span)
     for index, conductor in enumerate(span.conductors):
+        yield from ((("conductors", index, *key), text) for key, text in wire_warnings(conductor))
         if conductor.measured:
             warned = [*_in_view(conductor, intrinsics, pose), *_above_ground(span, conductor, ground)]
             yield from ((("conductors", index, *key), text) for key, text in warned)
+    yield from obstacle_warnings(span)
     yield from _directions(span)
 
 

@@ -22,18 +22,19 @@ from typing import Literal
 from pydantic import Field, field_validator, model_validator
 
 from sagnode.config.base import Model, Name, Pixel, Point, PositiveM
+from sagnode.config.wire_data import contradictions
 
 
 class Stringing(Model):
     """Stringing data for the state-change equation; gives the derived conductor temperature."""
 
-    temperature_c: float
+    temperature_c: float = Field(gt=-273.15, lt=1100)
     """Conductor temperature at which ``tension_n`` was measured."""
-    tension_n: float = Field(gt=0)
+    tension_n: float = Field(ge=1e-6, le=1e7)
     """Horizontal tension at ``temperature_c``."""
-    section_mm2: float = Field(gt=0)
+    section_mm2: float = Field(ge=1e-6)
     """Total cross-section."""
-    modulus_gpa: float = Field(gt=0)
+    modulus_gpa: float = Field(gt=0, le=2000)
     """Final modulus of elasticity."""
     expansion_per_k: float = Field(gt=0, lt=1e-3)
     """Coefficient of linear thermal expansion."""
@@ -57,7 +58,7 @@ class Conductor(Model):
     """Conductors in the bundle; the bundle's centre line is reported."""
     bundle_spacing_m: float = Field(default=0.4, gt=0)
     """Side of the bundle, for two or more sub-conductors."""
-    unit_weight_n_m: float | None = Field(default=None, gt=0)
+    unit_weight_n_m: float | None = Field(default=None, ge=1e-6)
     """Weight per metre of one sub-conductor; gives the tension."""
     stringing: Stringing | None = None
     sag_min_m: float = Field(gt=0)
@@ -76,6 +77,8 @@ class Conductor(Model):
             raise ValueError("sag_max_m must exceed sag_min_m")
         if self.sag_max_m > 0.25 * span:
             raise ValueError(f"sag_max_m = {self.sag_max_m:g} exceeds a quarter of the span ({span:.1f} m)")
+        for impossible in contradictions(self):
+            raise ValueError(impossible)
         return self
 
 

@@ -33,6 +33,10 @@ class Shape:
         return conductor_points(self.near, self.far, self.sag, self.swing, t, self.load)
 
 
+POSSIBLE_TEMPERATURES_C = (-60.0, 300.0)
+"""Of a conductor on a line, in any climate and under any current; stringing data that give others are wrong."""
+
+
 @dataclass(frozen=True)
 class Stringing:
     """Stringing data in SI: see :class:`sagnode.config.span.Stringing`."""
