@@ -3,6 +3,7 @@
 import os
 import shutil
 import subprocess
+from datetime import UTC, datetime
 
 import pytest
 from readings import reading
@@ -227,3 +228,16 @@ def test_two_do_not_share_a_directory(tmp_path):
         Stores(tmp_path, None).opened(),
     ):
         pass
+
+
+def test_a_limit_of_ages_ago_keeps_everything_at_any_time_of_the_clock(tmp_path):
+    """A date before the first one there is would end the daemon at its first reading."""
+    journal = Journal(tmp_path / "journal.sqlite")
+    for keep_days in (1e6, 1e9, 1e300):
+        keeper = Recorder(journal, owed=False, keep_days=keep_days, keep_mb=100)
+        keeper.record([reading(1)])
+        for now in (datetime(1970, 1, 1, tzinfo=UTC), datetime(2026, 6, 21, tzinfo=UTC)):
+            keeper._pruned_at = float("-inf")
+            keeper.prune(now, clock_synced=True)
+    assert len(journal.find([reading(1)])) == 1
+    journal.close()

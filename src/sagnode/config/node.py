@@ -12,6 +12,8 @@ from pydantic import Field, NonNegativeInt, PositiveInt, field_validator, model_
 from sagnode.config.base import Model, Name
 from sagnode.config.mqtt import Mqtt
 
+KEEP_DAYS_MAX = 36_500.0
+"""A century, so that there is a date so long ago whatever the clock says."""
 Method = Literal["rational-bezier", "paper-bezier", "cosh", "cosh-perspective"]
 
 
@@ -222,7 +224,7 @@ class Storage(Model):
 
     state_dir: Path | None = None
     """Default: $STATE_DIRECTORY (systemd), else ~/.local/state/sagnode."""
-    keep_days: float = Field(default=400.0, gt=0)
+    keep_days: float = Field(default=400.0, gt=0, le=KEEP_DAYS_MAX)
     keep_mb: float = Field(default=512.0, gt=1)
     """Size limit of the journal; undelivered readings go last, and only then."""
     pictures: bool = True

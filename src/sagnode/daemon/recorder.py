@@ -8,6 +8,7 @@ from collections import deque
 from collections.abc import Sequence
 from datetime import datetime, timedelta
 
+from sagnode.config.node import KEEP_DAYS_MAX
 from sagnode.daemon.journal import Journal
 from sagnode.daemon.logs import Seldom
 from sagnode.daemon.spool import Spool
@@ -37,7 +38,7 @@ class Recorder:
     ) -> None:
         self._journal = journal
         self._owed = owed
-        self._keep = timedelta(days=keep_days)
+        self._keep = timedelta(days=min(keep_days, KEEP_DAYS_MAX))
         self._keep_bytes = keep_mb * 1e6
         self._waiting: deque[list[ReadingHeader]] = deque()
         self._dropped = 0
