@@ -51,12 +51,16 @@ def read_document(path: Path) -> Document:
         # A byte order mark is what Windows' Notepad puts in front.
         text = content.decode("utf-8-sig")
         document.data = tomllib.loads(text)
+        _json(document.data)
         document.lines = key_lines(text)
     except UnicodeDecodeError as error:
         line = content[: error.start].count(b"\n") + 1
         document.faults.append(Fault(path, line, "", "not UTF-8 text; save the file in the encoding UTF-8"))
     except tomllib.TOMLDecodeError as error:
         document.faults.append(toml_fault(path, error))
+    except ValueError:  # Python turns no number of more than some thousand digits into text or out of it
+        document.data = None
+        document.blame((), "holds a number of thousands of digits, which cannot be read")
     except RecursionError:
         document.blame((), "brackets are nested too deeply to be a configuration")
     return document
@@ -127,9 +131,13 @@ def _attempt(model: type[ModelT], data: object) -> tuple[ModelT | None, list[Err
     # By way of JSON, for there strict means what TOML's types mean: no text for a number, no 1 for true, but a list
     # for a tuple, text for a path, and a whole number for a float.
     try:
-        return model.model_validate_json(json.dumps(data, default=_as_text), strict=True), []
+        return model.model_validate_json(_json(data), strict=True), []
     except ValidationError as error:
         return None, error.errors()
+
+
+def _json(data: object) -> str:
+    return json.dumps(data, default=_as_text)
 
 
 def _as_text(value: object) -> str:

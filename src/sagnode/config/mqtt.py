@@ -3,22 +3,21 @@
 from __future__ import annotations
 
 import string
-from pathlib import Path
 from typing import Literal
 
 from pydantic import Field, field_validator, model_validator
 
-from sagnode.config.base import Model
+from sagnode.config.base import FileName, Model, Text
 
 
 class Tls(Model):
     """TLS to the broker: 1.2 or later, server name verified."""
 
-    ca_file: Path | None = None
+    ca_file: FileName | None = None
     """Default: the system's."""
-    cert_file: Path | None = None
+    cert_file: FileName | None = None
     """Client certificate."""
-    key_file: Path | None = None
+    key_file: FileName | None = None
 
     @model_validator(mode="after")
     def _pair(self) -> Tls:
@@ -30,24 +29,24 @@ class Tls(Model):
 class Mqtt(Model):
     """The broker."""
 
-    host: str = Field(min_length=1)
+    host: str = Field(min_length=1, max_length=253)
     port: int = Field(default=8883, ge=1, le=65535)
     protocol: Literal["5", "3.1.1"] = "5"
-    client_id: str | None = None
+    client_id: Text | None = None
     """Default: sagnode-<unit>."""
-    prefix: str = "sagnode/v1/{utility}/{line}/{span}/{unit}"
-    username: str | None = None
-    password_file: Path | None = None
+    prefix: Text = "sagnode/v1/{utility}/{line}/{span}/{unit}"
+    username: Text | None = None
+    password_file: FileName | None = None
     """First line is the password; relative to $CREDENTIALS_DIRECTORY under systemd, else to this file."""
     tls: Tls | None = None
     insecure_plaintext: bool = False
     """Say it twice: without [mqtt.tls] only the loopback is spoken to unless this is true."""
     keepalive_s: int = Field(default=60, ge=5, le=3600)
-    expiry_s: int = Field(default=86400, ge=60)
+    expiry_s: int = Field(default=86400, ge=60, le=2**32 - 2)
     """MQTT 5 message expiry of measurements."""
     inflight: int = Field(default=5, ge=1, le=100)
     """Readings handed to the client at once; the journal holds the rest."""
-    backlog_per_s: float = Field(default=50.0, gt=0)
+    backlog_per_s: float = Field(default=50.0, ge=0.001, le=1e6)
     """Rate at which old readings are drained after an outage."""
 
     @field_validator("host")

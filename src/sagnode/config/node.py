@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from datetime import UTC, datetime
-from pathlib import Path
 from typing import Literal
 
 from pydantic import Field, NonNegativeInt, PositiveInt, field_validator, model_validator
 
-from sagnode.config.base import Model, Name
+from sagnode.config.base import YEAR_S, FileName, FilePattern, Model, Name
 from sagnode.config.mqtt import Mqtt
 
 KEEP_DAYS_MAX = 36_500.0
@@ -31,9 +30,9 @@ class Unit(Model):
 class ReplaySource(Model):
     """Frames from files."""
 
-    path: str
+    path: FilePattern
     """A directory, a glob or a video; relative to this file."""
-    cadence_s: float | None = Field(default=None, gt=0)
+    cadence_s: float | None = Field(default=None, gt=0, le=YEAR_S)
     """Time between frames; without it the files' own times are kept."""
     start: str | None = None
     """RFC 3339 time of the first frame, with cadence_s."""
@@ -62,16 +61,16 @@ class ReplaySource(Model):
 class V4l2Source(Model):
     """A V4L2 device through OpenCV."""
 
-    device: str = "/dev/video0"
-    width: int = Field(default=1456, gt=0)
-    height: int = Field(default=1088, gt=0)
+    device: FilePattern = "/dev/video0"
+    width: int = Field(default=1456, gt=0, le=65_535)
+    height: int = Field(default=1088, gt=0, le=65_535)
     pixel_format: str = Field(default="GREY", min_length=4, max_length=4)
     exposure: float | None = None
     """In the driver's unit (often 100 us); unset leaves the driver's automatic."""
     gain: float | None = None
-    fps: float | None = Field(default=None, gt=0)
+    fps: float | None = Field(default=None, gt=0, le=10_000)
     warmup_frames: int = Field(default=5, ge=0, le=1000)
-    timeout_s: float = Field(default=5.0, gt=0)
+    timeout_s: float = Field(default=5.0, gt=0, le=3600)
     """Longest wait for one frame."""
 
 
@@ -79,10 +78,10 @@ class Picamera2Source(Model):
     """A Raspberry Pi camera."""
 
     camera: int = Field(default=0, ge=0)
-    width: int = Field(default=1456, gt=0)
-    height: int = Field(default=1088, gt=0)
+    width: int = Field(default=1456, gt=0, le=65_535)
+    height: int = Field(default=1088, gt=0, le=65_535)
     stream: Literal["main", "raw"] = "main"
-    exposure_us: int | None = Field(default=None, gt=0)
+    exposure_us: int | None = Field(default=None, gt=0, le=2**31 - 1)
     """Locked exposure; unset: settle automatically during warm-up, then lock."""
     gain: float | None = Field(default=None, gt=0)
     lens_position: float | None = Field(default=None, ge=0)
@@ -91,7 +90,7 @@ class Picamera2Source(Model):
     """Part of the sensor's array that the picture shows: left, top, width, height in its own pixels. Unset: what
     libcamera chooses, which may be another with its next version; the intrinsics hold for one crop only."""
     warmup_frames: int = Field(default=10, ge=0, le=1000)
-    timeout_s: float = Field(default=10.0, gt=0)
+    timeout_s: float = Field(default=10.0, gt=0, le=3600)
 
 
 class Camera(Model):
@@ -115,10 +114,10 @@ class Camera(Model):
 class Schedule(Model):
     """When a reading is made; exactly one of interval_s and cron."""
 
-    interval_s: float | None = Field(default=None, ge=0.1)
-    cron: str | None = None
+    interval_s: float | None = Field(default=None, ge=0.1, le=YEAR_S)
+    cron: str | None = Field(default=None, max_length=1000)
     """Five-field crontab expression, in UTC."""
-    deadline_s: float = Field(default=60.0, gt=0)
+    deadline_s: float = Field(default=60.0, ge=0.1, le=86_400)
     """A reading that takes longer is recorded as invalid; its worker is killed and started anew."""
     clock: Literal["system", "virtual"] = "system"
     """virtual: time jumps to the next slot as soon as the node is idle; for replayed frames only."""
@@ -163,7 +162,7 @@ class Trend(Model):
 
     watch: bool = True
     """Mark a reading as inconsistent when no heat or wind explains its change; its numbers stay as they are."""
-    accept_after_s: float = Field(default=1800.0, gt=0)
+    accept_after_s: float = Field(default=1800.0, gt=0, le=YEAR_S)
     """A new level that has lasted so long, in three readings at least, is real: a slipped clamp, ice that fell off."""
 
 
@@ -174,15 +173,15 @@ class Alarms(Model):
     """Readings in a row that show it."""
     clear_after: int = Field(default=3, ge=1, le=100)
     """Readings in a row that show the contrary."""
-    clearance_hysteresis_m: float = Field(default=0.1, ge=0)
+    clearance_hysteresis_m: float = Field(default=0.1, ge=0, le=1000)
     """clearance_lo must exceed its limit by so much to clear."""
-    sag_hysteresis_m: float = Field(default=0.1, ge=0)
+    sag_hysteresis_m: float = Field(default=0.1, ge=0, le=1000)
     swing_deg: float | None = Field(default=None, gt=0)
     """Default: swing.questionable_deg of the span file."""
     swing_hysteresis_deg: float = Field(default=3.0, ge=0)
     load_skew: float = Field(default=0.1, gt=0)
     """Uneven load above this, and above four of its standard uncertainties, is suspected ice."""
-    stale_after_s: float = Field(default=7200.0, gt=0)
+    stale_after_s: float = Field(default=7200.0, gt=0, le=YEAR_S)
     """No reading with a number for so long."""
     pictures: bool = True
     """Send the overlay of a conductor when an alarm of it is raised."""
@@ -199,44 +198,44 @@ class Commands(Model):
 class Worker(Model):
     """The process that owns the camera and the mathematics."""
 
-    max_readings: int = Field(default=1000, ge=1)
+    max_readings: int = Field(default=1000, ge=1, le=10**9)
     """Recycle the process after so many readings."""
-    memory_max_mb: int = Field(default=600, ge=64)
+    memory_max_mb: int = Field(default=600, ge=64, le=10**6)
     """Address-space growth beyond this ends the process, not the daemon."""
-    backoff_max_s: float = Field(default=300.0, gt=0)
+    backoff_max_s: float = Field(default=300.0, gt=0, le=86_400)
 
 
 class Recovery(Model):
     """What is done when no reading comes for long, although the worker was started anew again and again."""
 
-    restart_after_s: float = Field(default=1800.0, gt=0)
+    restart_after_s: float = Field(default=1800.0, gt=0, le=YEAR_S)
     """So long without a reading, for a fault that a fresh start may mend: the service is started anew."""
-    restarts_before_reboot: int = Field(default=3, ge=1)
+    restarts_before_reboot: int = Field(default=3, ge=1, le=10**6)
     """So many restarts of the service in one boot; if they do not help the machine is started anew."""
     reboot: bool = True
     """False: never start the machine anew."""
-    reboot_wait_h: float = Field(default=1.0, gt=0)
+    reboot_wait_h: float = Field(default=1.0, gt=0, le=YEAR_S / 3600)
     """The machine has been up so long before; twice as long after each fruitless time, a day at most."""
 
 
 class Storage(Model):
     """Where things are kept; relative paths are below the state directory."""
 
-    state_dir: Path | None = None
+    state_dir: FileName | None = None
     """Default: $STATE_DIRECTORY (systemd), else ~/.local/state/sagnode."""
     keep_days: float = Field(default=400.0, gt=0, le=KEEP_DAYS_MAX)
-    keep_mb: float = Field(default=512.0, gt=1)
+    keep_mb: float = Field(default=512.0, gt=1, le=1e9)
     """Size limit of the journal; undelivered readings go last, and only then."""
     pictures: bool = True
     """Keep the latest overlay of each conductor."""
-    pictures_keep_mb: float = Field(default=64.0, ge=0)
+    pictures_keep_mb: float = Field(default=64.0, ge=0, le=1e9)
 
 
 class Node(Model):
     """The whole node file."""
 
     unit: Unit
-    span_file: Path
+    span_file: FileName
     """The survey; relative to this file."""
     camera: Camera
     schedule: Schedule

@@ -16,12 +16,11 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterator, Sequence
-from pathlib import Path
 from typing import Literal
 
 from pydantic import Field, field_validator, model_validator
 
-from sagnode.config.base import Model, Name, Pixel, Point, PositiveM
+from sagnode.config.base import U_MAX, Coordinate, FileName, Model, Name, Pixel, Point, PositiveM, Text
 from sagnode.config.wire_data import contradictions
 
 
@@ -44,19 +43,19 @@ class Conductor(Model):
     """One wire, or one bundle, between its two attachment points."""
 
     id: Name
-    phase: str | None = None
+    phase: Text | None = None
     circuit: Name | None = None
     """Conductors of one circuit carry one current and warm together; name it where the towers carry several."""
     near: Point
     """Attachment A: where the conductor leaves the clamp at the near tower."""
     far: Point
     """Attachment B, at the far tower."""
-    attachment_u_m: float = Field(default=0.05, ge=0)
+    attachment_u_m: float = Field(default=0.05, ge=0, le=U_MAX)
     """Standard uncertainty of each coordinate of both attachments."""
     diameter_m: float = Field(gt=0, lt=0.2)
     sub_conductors: Literal[1, 2, 3, 4] = 1
     """Conductors in the bundle; the bundle's centre line is reported."""
-    bundle_spacing_m: float = Field(default=0.4, gt=0)
+    bundle_spacing_m: float = Field(default=0.4, gt=0, le=10)
     """Side of the bundle, for two or more sub-conductors."""
     unit_weight_n_m: float | None = Field(default=None, ge=1e-6)
     """Weight per metre of one sub-conductor; gives the tension."""
@@ -86,9 +85,9 @@ class Obstacle(Model):
     """Something on the ground that counts for clearance: a road, a roof, a tree."""
 
     id: Name
-    along_m: tuple[float, float]
+    along_m: tuple[Coordinate, Coordinate]
     """From and to, horizontal distance from A."""
-    height_m: float
+    height_m: Coordinate
     """Height of its top in the site frame."""
 
     @model_validator(mode="after")
@@ -101,10 +100,10 @@ class Obstacle(Model):
 class Ground(Model):
     """Ground profile below the span."""
 
-    profile: tuple[tuple[float, float], ...] = Field(min_length=2)
+    profile: tuple[tuple[Coordinate, Coordinate], ...] = Field(min_length=2)
     """(along, height) pairs, metres, along ascending; straight lines between."""
     obstacles: tuple[Obstacle, ...] = ()
-    height_u_m: float = Field(default=0.05, ge=0)
+    height_u_m: float = Field(default=0.05, ge=0, le=U_MAX)
     """Standard uncertainty of the heights."""
 
     @model_validator(mode="after")
@@ -120,25 +119,25 @@ class CameraSurvey(Model):
 
     position: Point
     """Centre of projection."""
-    position_u_m: float = Field(default=0.05, ge=0)
+    position_u_m: float = Field(default=0.05, ge=0, le=U_MAX)
     azimuth_deg: float = Field(ge=-360, le=360)
     """Direction of the optical axis, clockwise from the site's north (+y), as a compass shows it."""
     elevation_deg: float = Field(gt=-90, lt=90)
     """Optical axis above (+) or below (-) the horizon."""
     roll_deg: float = Field(default=0.0, ge=-180, le=180)
     """Rotation about the optical axis, clockwise seen from behind the camera."""
-    orientation_u_deg: float = Field(default=0.5, gt=0)
+    orientation_u_deg: float = Field(default=0.5, gt=0, le=180)
     """Standard uncertainty of each of the three angles."""
-    intrinsics: Path
+    intrinsics: FileName
     """Calibration file: OpenCV YAML, XML or JSON, or ROS camera_info YAML; relative to this file."""
-    focal_u_rel: float = Field(default=0.001, ge=0)
+    focal_u_rel: float = Field(default=0.001, ge=0, le=1)
     """Relative standard uncertainty of the focal lengths."""
-    principal_point_u_px: float = Field(default=1.0, ge=0)
-    distortion_u: float = Field(default=0.002, ge=0)
+    principal_point_u_px: float = Field(default=1.0, ge=0, le=1e5)
+    distortion_u: float = Field(default=0.002, ge=0, le=10)
     """Standard uncertainty of k1."""
-    reference_image: Path | None = None
+    reference_image: FileName | None = None
     """Picture in which the landmarks were clicked; with it they are tracked in every frame."""
-    max_movement_px: float = Field(default=60.0, gt=0)
+    max_movement_px: float = Field(default=60.0, gt=0, le=1e5)
     """Landmarks farther than this from where they were clicked: the camera is knocked, and readings are refused."""
 
 
@@ -147,10 +146,10 @@ class Landmark(Model):
 
     id: Name
     position: Point
-    position_u_m: float = Field(default=0.05, ge=0)
+    position_u_m: float = Field(default=0.05, ge=0, le=U_MAX)
     pixel: Pixel
     """Where it was clicked in the reference image."""
-    pixel_u_px: float = Field(default=0.3, gt=0)
+    pixel_u_px: float = Field(default=0.3, gt=0, le=1e5)
     size_px: int = Field(default=33, ge=9, le=255)
     """Side of the square around it that is compared."""
 
@@ -160,7 +159,7 @@ class Swing(Model):
 
     max_deg: float = Field(default=30.0, ge=0, le=75)
     """Largest swing that is searched."""
-    prior_u_deg: float = Field(default=10.0, gt=0)
+    prior_u_deg: float = Field(default=10.0, gt=0, le=1000)
     """Standard uncertainty of the prior, centred at zero; it matters where the view cannot see swing."""
     questionable_deg: float = Field(default=20.0, gt=0)
     """Swing above this marks the reading as oscillatory."""

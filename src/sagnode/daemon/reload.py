@@ -13,7 +13,7 @@ import logging
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 from sagnode.config.load import LoadedNode, load_node
 from sagnode.daemon import logs
@@ -68,16 +68,23 @@ class Reloader:
             self._usable(fresh)
             self._look_closely(fresh)
         except ConfigError as error:
-            for fault in error.faults:
-                log.error("reload refused: %s", fault)
-            note = f"reload refused, the old one stays in force: {error.faults[0]}"
-            if self._showcase is not None:
-                self._showcase.configuration_note = note
-                self._showcase.hurry()
-            self._notifier.ready(note)
+            self._refuse(error.faults)
+            return False
+        except Exception as error:  # whatever a file does to its reader, the node goes on with what it has
+            log.exception("a defect met the new configuration")
+            self._refuse((f"it cannot be read: unexpected {type(error).__name__}: {error}",))
             return False
         self._fresh = fresh
         return True
+
+    def _refuse(self, faults: Sequence[str]) -> None:
+        for fault in faults:
+            log.error("reload refused: %s", fault)
+        note = f"reload refused, the old one stays in force: {faults[0]}"
+        if self._showcase is not None:
+            self._showcase.configuration_note = note
+            self._showcase.hurry()
+        self._notifier.ready(note)
 
     def put_in_force(self) -> None:
         """The old one has been taken down; what :meth:`accept` found good counts from now on."""
