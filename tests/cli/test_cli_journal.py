@@ -6,6 +6,8 @@ import csv
 import json
 import re
 import sqlite3
+import subprocess
+import sys
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
@@ -105,6 +107,24 @@ def test_export_as_csv_has_a_row_each_and_nothing_where_nothing_is_known(state: 
     assert (rows[0]["sag_m"], rows[0]["clearance_lo"], rows[0]["delivery"]) == ("8.42", "6.29", "delivered")
     assert (rows[19]["sag_m"], rows[19]["validity"], rows[19]["causes"]) == ("", "invalid", "dark")
     assert rows[19]["detail_qual"] == "failure"
+
+
+def test_an_export_that_finds_no_room_leaves_no_half_of_it(state: Path) -> None:
+    journal = Journal(state / "journal.sqlite")
+    journal.append([reading("L1", START + timedelta(days=1, minutes=k)) for k in range(300)], owed=False)
+    journal.close()
+    out = state / "out.csv"
+    words = ["export", "--state-dir", str(state), "--out", str(out)]
+    code = (
+        "import resource, sys; resource.setrlimit(resource.RLIMIT_FSIZE, (40_000, 40_000))\n"  # SQLite's index has 32 k
+        f"from sagnode.cli.main import main; sys.exit(main({words!r}))"
+    )
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    assert (result.returncode, result.stdout) == (1, "")
+    assert f"cannot write {out}: File too large" in result.stderr
+    assert [file.name for file in state.iterdir() if "out" in file.name] == []
+    assert main(words) == 0
+    assert out.stat().st_size > 40_000
 
 
 def test_export_as_json_lines_gives_the_published_messages_back(state: Path, capsys: Capture) -> None:

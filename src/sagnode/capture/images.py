@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from sagnode.capture.headers import DamagedError, Header, read_header
 from sagnode.capture.port import GreyImage
 from sagnode.errors import FrameError, SagnodeError
+from sagnode.outfile import whole
 from sagnode.quality import Cause
 
 MAX_PIXELS = 64_000_000
@@ -265,6 +266,7 @@ def write_png(path: Path, picture: NDArray[Any]) -> None:
     _, encoded = cv2.imencode(".png", picture)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_bytes(encoded.tobytes())
+        with whole(path) as stream:
+            stream.write(encoded.tobytes())
     except OSError as error:
         raise SagnodeError(f"cannot write {path}: {error.strerror}", "choose another place") from None

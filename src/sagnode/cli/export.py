@@ -15,6 +15,7 @@ from sagnode.cli.journal_words import add_filters, journal_path, wanted
 from sagnode.daemon.journal_reader import Rows, Stored
 from sagnode.errors import SagnodeError
 from sagnode.message import QUANTITIES, SEEN
+from sagnode.outfile import whole_text
 
 DESCRIPTION = """Write readings of the journal, oldest first. CSV has one row a reading and a column for every value,
 its standard uncertainty and its 95 % interval (empty where there is none); JSON lines are the published messages with
@@ -51,7 +52,7 @@ def _opened(path: Path | None) -> Iterator[TextIO]:
         yield sys.stdout
         return
     try:
-        with path.open("w", encoding="utf-8", newline="") as stream:
+        with whole_text(path) as stream:
             yield stream
     except OSError as error:
         raise SagnodeError(f"cannot write {path}: {error.strerror}", "choose another --out") from None

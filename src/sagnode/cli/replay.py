@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TextIO
 
 from sagnode.errors import ConfigError, EndOfFrames, FrameError, SagnodeError
+from sagnode.outfile import whole_text
 
 if TYPE_CHECKING:
     from datetime import datetime
@@ -90,7 +91,7 @@ def _opened(name: str | None) -> Iterator[TextIO | None]:
         yield sys.stdout if name else None
         return
     try:
-        with Path(name).open("w", encoding="utf-8") as stream:
+        with whole_text(Path(name), keep_interrupted=True) as stream:
             yield stream
     except OSError as error:
         raise SagnodeError(f"cannot write {name}: {error.strerror}", "choose another --out") from None
