@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import os
 import re
 import sqlite3
 import subprocess
@@ -82,6 +83,14 @@ def test_history_is_a_table_of_the_newest(state: Path, capsys: Capture) -> None:
     ]
 
 
+def test_signs_that_the_encoding_lacks_are_written_as_escapes(state: Path) -> None:
+    words = [sys.executable, "-m", "sagnode", "history", "--state-dir", str(state), "--last", "2"]
+    environment = {**os.environ, "PYTHONIOENCODING": "ascii"}
+    result = subprocess.run(words, capture_output=True, text=True, timeout=60, env=environment)
+    assert (result.returncode, result.stderr) == (0, "")
+    assert r"8.420 \xb1 0.040 m" in result.stdout
+
+
 def test_filters(state: Path, capsys: Capture) -> None:
     words = ["history", "--state-dir", str(state), "--json"]
 
@@ -107,6 +116,11 @@ def test_export_as_csv_has_a_row_each_and_nothing_where_nothing_is_known(state: 
     assert (rows[0]["sag_m"], rows[0]["clearance_lo"], rows[0]["delivery"]) == ("8.42", "6.29", "delivered")
     assert (rows[19]["sag_m"], rows[19]["validity"], rows[19]["causes"]) == ("", "invalid", "dark")
     assert rows[19]["detail_qual"] == "failure"
+
+
+def test_a_time_that_no_calendar_has_in_utc_is_a_usage_error(state: Path, capsys: Capture) -> None:
+    assert main(["history", "--state-dir", str(state), "--since", "9999-12-31T23:59:59-12:00"]) == 2
+    assert "is no time such as" in capsys.readouterr().err
 
 
 def test_an_export_that_finds_no_room_leaves_no_half_of_it(state: Path) -> None:

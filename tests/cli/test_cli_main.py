@@ -143,6 +143,21 @@ def test_a_reader_that_goes_away_is_no_error() -> None:
     assert done.stdout.strip() in {"0", "141"}
 
 
+@pytest.mark.parametrize("streams", [">&-", "2>&-", "<&- >&- 2>&-"])
+def test_streams_that_are_closed_are_no_error(streams: str) -> None:
+    command = f'"{sys.executable}" -m sagnode schema reading {streams}'
+    result = subprocess.run(["sh", "-c", command], capture_output=True, text=True, check=False)
+    assert (result.returncode, result.stderr) == (0, "")
+
+
+@pytest.mark.parametrize("words", ["--version", "schema reading"])
+def test_output_that_finds_no_room_is_said_in_a_line(words: str) -> None:
+    command = f'"{sys.executable}" -m sagnode {words} > /dev/full'
+    result = subprocess.run(["sh", "-c", command], capture_output=True, text=True, check=False)
+    assert result.returncode == 1
+    assert result.stderr == "sagnode: error: cannot write to standard output: No space left on device\n"
+
+
 def test_a_program_that_asked_for_json_gets_its_error_as_json(capsys, tmp_path):
     assert cli.main(["status", "--json", "--state-dir", str(tmp_path / "nope")]) == 2
     said = capsys.readouterr()

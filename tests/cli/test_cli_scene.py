@@ -43,6 +43,8 @@ def test_a_day_needs_stringing_data(tmp_path: Path, capsys: pytest.CaptureFixtur
         ["--frames", "0"],
         ["--cloud", "2"],
         ["--every", "nan"],
+        ["--every", "1e300"],
+        ["--seed", "-1"],
         ["--day", "tomorrow"],
         ["--errors", "-1"],
     ],

@@ -72,9 +72,9 @@ def moment(text: str, now: datetime | None = None) -> datetime:
         if age:
             return (now or datetime.now(UTC)) - timedelta(**{_UNITS[age[2]]: int(age[1])})
         time = datetime.fromisoformat(text)
+        # Without a zone it is UTC, as everything that sagnode prints.
+        return time.replace(tzinfo=UTC) if time.tzinfo is None else time.astimezone(UTC)
     except (ValueError, OverflowError):
         raise argparse.ArgumentTypeError(
             f"'{text}' is no time such as 2026-06-21T04:00Z and no age such as 24h"
         ) from None
-    # Without a zone it is UTC, as everything that sagnode prints.
-    return time.replace(tzinfo=UTC) if time.tzinfo is None else time.astimezone(UTC)

@@ -33,6 +33,8 @@ EXIT_DEFECT = 70  # EX_SOFTWARE of sysexits.h
 EXIT_INTERRUPTED = 130
 EXIT_PIPE_CLOSED = 141
 
+_NO_ROOM = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO})
+
 # Group, then (name, one line). The line stands here and not in the module, so that --help imports none of them.
 COMMANDS: tuple[tuple[str, tuple[tuple[str, str], ...]], ...] = (
     (
@@ -93,7 +95,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         argv: the words after ``sagnode``; default: the process's own.
     """
     words = list(sys.argv[1:] if argv is None else argv)
-    _make_output_safe()
+    _make_streams_sound()
     try:
         code = _dispatch(words)
         sys.stdout.flush()
@@ -108,32 +110,28 @@ def main(argv: Sequence[str] | None = None) -> int:
         return EXIT_INTERRUPTED
     except BrokenPipeError:
         # The reader (head, less) has seen enough; the interpreter would complain once more when it flushes.
-        _discard_output()
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return EXIT_PIPE_CLOSED
     except OSError as error:
-        if error.errno != errno.ENOSPC or error.filename is not None:
+        if error.errno not in _NO_ROOM or error.filename is not None:
             return _print_defect(error)
-        print("sagnode: error: the output cannot be written: no space is left where it goes", file=sys.stderr)
-        _discard_output()
+        print(f"sagnode: error: cannot write to standard output: {error.strerror}", file=sys.stderr)
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return EXIT_DEGRADED
     except Exception as error:  # noqa: BLE001 - the outermost frame: a user gets a line, not a traceback
         return _print_defect(error)
     return code
 
 
-def _make_output_safe() -> None:
-    """A closed output swallows what is written, and a character that it does not know becomes a question mark."""
-    for name in ("stdout", "stderr"):
-        stream = getattr(sys, name)
-        if stream is None:
-            setattr(sys, name, Path(os.devnull).open("w", encoding="utf-8"))  # noqa: SIM115 - open until the end
-        elif isinstance(stream, io.TextIOWrapper) and stream.errors == "strict":
-            stream.reconfigure(errors="replace")
-
-
-def _discard_output() -> None:
-    """What is still to be written goes nowhere."""
-    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+def _make_streams_sound() -> None:
+    """Standard streams that were closed lead nowhere; signs that a terminal's encoding lacks are written as escapes."""
+    for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
+        if getattr(sys, name) is None:
+            # the lowest number that is free is the stream's own: no picture and no journal shall have it
+            setattr(sys, name, os.fdopen(os.open(os.devnull, os.O_RDWR), mode))
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
 
 
 def _dispatch(words: list[str]) -> int:

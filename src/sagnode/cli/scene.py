@@ -28,7 +28,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="directory to write into")
     parser.add_argument("--frames", type=whole(1, 100_000), default=1, metavar="N", help="how many (default: 1)")
-    parser.add_argument("--every", type=positive, default=300.0, metavar="S", help="seconds between (default: 300)")
+    parser.add_argument(
+        "--every", type=between(0.001, 864_000), default=300.0, metavar="S", help="seconds between (default: 300)"
+    )
     parser.add_argument("--day", type=_day, metavar="YYYY-MM-DD", help="a day from midnight UTC on, with its weather")
     parser.add_argument("--sag", type=_sags, metavar="M[:M]", help="sag, or from:to (default: middle of the range)")
     parser.add_argument("--swing", type=finite, default=0.0, metavar="DEG", help="swing of all conductors")
@@ -50,7 +52,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="SCALE",
         help="the true world differs from the survey by errors of its stated uncertainties times this (default: 1)",
     )
-    parser.add_argument("--seed", type=int, default=1, metavar="N", help="of everything random (default: 1)")
+    parser.add_argument(
+        "--seed", type=whole(0, 2**32 - 1), default=1, metavar="N", help="of everything random (default: 1)"
+    )
     parser.add_argument("--format", choices=("jpg", "png"), default="jpg")
 
 
