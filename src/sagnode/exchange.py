@@ -80,7 +80,9 @@ class ResendCommand(_Command):
 
     command: Literal["resend"] = Field(description="readings once more")
     from_sequence: int = Field(ge=1, le=2**62, strict=True, description="the first")
-    to_sequence: int | None = Field(default=None, ge=1, le=2**62, strict=True, description="the last; default: the newest")
+    to_sequence: int | None = Field(
+        default=None, ge=1, le=2**62, strict=True, description="the last; default: the newest"
+    )
 
 
 Command = Annotated[MeasureCommand | PictureCommand | ResendCommand, Field(discriminator="command")]

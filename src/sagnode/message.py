@@ -280,7 +280,9 @@ class HealthMessage(Strict):
     outbox_set_aside: int = Field(
         default=0, ge=0, description="of these, readings that the broker would not take; each is tried again in an hour"
     )
-    delivery: str = Field(default="ok", description="ok, or what is not delivered and why, though the broker is connected")
+    delivery: str = Field(
+        default="ok", description="ok, or what is not delivered and why, though the broker is connected"
+    )
     broker: str = Field(description="connected to which broker, or what went wrong last")
     certificate_ends_at: AwareDatetime | None = Field(
         default=None, description="end of the client certificate at the broker; null without one"
