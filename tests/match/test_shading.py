@@ -41,7 +41,9 @@ def looked_at(image, width):
 @pytest.mark.parametrize("width", [0.6, 1.0, 2.0, 4.0, 8.0])
 @pytest.mark.parametrize("albedo", [0.1, 0.3, 0.5])
 def test_what_light_moves_is_expected(width, albedo):
-    """A sun from below: the wire is moved by 0.4 to 2.4 standard deviations of what is expected of light from below."""
+    """A sun from below: the wire is moved by 0.7 to 4.2 standard deviations of what is expected of light from below.
+
+    The greys here are linear, and the sun stands where it moves most."""
     moved = []
     for angle in (0.0, 1.2):
         blocks, expected = looked_at(lit_cylinder(width, angle, albedo=albedo), width)
@@ -49,7 +51,7 @@ def test_what_light_moves_is_expected(width, albedo):
         assert expected is not None
         assert not expected[:, 0].any()
     ratio = (moved[1] - moved[0]) / np.median(expected[:, 1])
-    assert 0.4 < ratio < 2.4
+    assert 0.7 < ratio < 4.2
 
 
 def test_a_dark_wire_seems_to_lie_away_from_the_light_and_a_bright_one_towards_it():

@@ -124,14 +124,14 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _make_streams_sound() -> None:
-    """Standard streams that were closed lead nowhere; signs that a terminal's encoding lacks are written as escapes."""
+    """Standard streams that were closed lead nowhere; signs that its encoding lacks become question marks."""
     for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
         if getattr(sys, name) is None:
             # the lowest number that is free is the stream's own: no picture and no journal shall have it
             setattr(sys, name, os.fdopen(os.open(os.devnull, os.O_RDWR), mode))
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(errors="backslashreplace")
+            stream.reconfigure(errors="replace")
 
 
 def _dispatch(words: list[str]) -> int:

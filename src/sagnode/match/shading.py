@@ -25,10 +25,10 @@ from sagnode.capture.port import GreyImage
 from sagnode.geometry.camera import FloatArray
 from sagnode.match.closer import SHARP_BLUR_PX
 
-SLOPE = 0.35
-"""Standard deviation of the slope of light across a wire, over the wire's brightness. Of a matt cylinder on which the
-sun shines twice as strongly as an even sky it is 0 with the sun behind the camera and 0.7 with the sun across it; under
-clouds it is 0."""
+SLOPE = 0.2
+"""Standard deviation of the slope of light across a wire, over the wire's brightness, both in greys. Of a matt cylinder
+on which the sun shines twice as strongly as an even sky it is 0 with the sun behind the camera and 0.7 with the sun
+across it, under clouds 0; and greys are compressed to about half of that."""
 PER_WIDTH, MOST_PX = 0.19, 1.1
 """Shift for a slope as large as the contrast: a share of the width, and px at most."""
 MOST_SLOPE = 1.0
