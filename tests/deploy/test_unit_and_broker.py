@@ -123,7 +123,7 @@ def test_what_the_access_list_forbids_is_kept_and_told(tmp_path, ca, unit):
         unit(broker)
         wait_for(lambda: (s := status(unit.site)) and s["health"]["outbox_depth"] >= 6)
         said = (tmp_path / "log").read_text()
-        assert "does not take status: Not authorized" in said
+        assert "does not take status: the broker answered: Not authorized" in said
         assert "reading 1 set aside" in said and "the broker answered: Not authorized" in said
         assert not consumer.messages
 
