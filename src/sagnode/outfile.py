@@ -54,9 +54,9 @@ def _whole(path: Path, mode: str, *, keep_interrupted: bool = False, **how: Any)
             stream.flush()
             os.fsync(stream.fileno())
         beside.replace(place)
-    except BaseException:
+    finally:
+        # where all went well there is no such file any more
         with contextlib.suppress(OSError):
             beside.unlink()
-        raise
     if interrupted is not None:
         raise interrupted
