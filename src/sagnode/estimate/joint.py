@@ -41,6 +41,8 @@ CAUCHY_CURVE = 2.5
 """Standardised residual at which an offset counts half."""
 SLID, SLIDES_MOST = 0.2, 4
 """Share of an offset's uncertainty by which it may be off for having slid along the curve, and most solutions anew."""
+STILL = 0.5
+"""Standard uncertainties of sag and swing within which a solution is where it began."""
 ANEW = 0.5
 """A step of more than this many standard uncertainties makes the derivatives be taken anew."""
 STRIDE = (0.1, np.radians(2.0))
@@ -207,10 +209,11 @@ def solve_on_curve(
     Where the picture leaves one combination of sag and swing open, a solution goes far along it, and the wire slides
     along its own picture meanwhile.
     """
-    solution = solve(survey, start, camera, curve, iterations)
+    solution, before = solve(survey, start, camera, curve, iterations), start
     for _ in range(SLIDES_MOST):
         theta = solution.theta
-        if not solution.converged:
+        # what slides is of second order, and nothing where the solution hardly moved
+        if not solution.converged or _near(theta, before, solution.covariance):
             break
         aside = aside_by_sliding(survey, theta, solution.curve)
         if not (aside > SLID * np.sqrt(solution.white + solution.curve.shared_px**2)).any():
@@ -218,8 +221,13 @@ def solve_on_curve(
         again = solve(survey, theta, camera, slid(survey, theta, solution.curve), iterations)
         if not again.converged:
             break
-        solution = again
+        solution, before = again, theta
     return solution
+
+
+def _near(theta: FloatArray, before: FloatArray, covariance: FloatArray) -> bool:
+    """Whether sag and swing have moved by less than a part of their standard uncertainties."""
+    return all((theta[k] - before[k]) ** 2 <= STILL**2 * covariance[k, k] for k in (SAG, SWING))
 
 
 @dataclass(frozen=True)

@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from sagnode.capture.port import GreyImage
 from sagnode.geometry.camera import FloatArray
 from sagnode.match.closer import SHARP_BLUR_PX
+from sagnode.match.robust import median
 
 SLOPE = 0.2
 """Standard deviation of the slope of light across a wire, over the wire's brightness, both in greys. Of a matt cylinder
@@ -69,12 +70,12 @@ def moved_by_light(
     if not len(clear) or width.max() < LEAST_WIDTH_PX:
         return None
     away = (0.5 * width + BESIDE_PX)[:, None] * normal
-    background = 0.5 * (_grey(image, pixel + away) + _grey(image, pixel - away))
+    background = 0.5 * _grey(image, np.concatenate([pixel + away, pixel - away])).reshape(2, -1).sum(axis=0)
     # a thin wire's contrast is spread over the blur
     found = np.where(np.isfinite(contrast), contrast, 0.0) / _share_within(width)
     # how bright the wire is, its widest and clearest blocks say; air makes far ones like their background
     witnesses = clear[np.argsort(-(snr * np.minimum(width, WIDE_PX))[clear])[: 1 + len(clear) // 4]]
-    own = max(float(np.median((background + found)[witnesses])), 0.0)
+    own = max(median((background + found)[witnesses]), 0.0)
     stands_out = np.maximum(np.maximum(np.abs(found), np.abs(own - background)), LEAST_CONTRAST)
     aside = np.minimum(PER_WIDTH * width, MOST_PX) * np.minimum(SLOPE * own / stands_out, MOST_SLOPE)
     return np.asarray((np.sign(found) * aside)[:, None] * normal)
@@ -89,6 +90,5 @@ def _share_within(width: FloatArray) -> FloatArray:
 def _grey(image: GreyImage, pixel: FloatArray) -> FloatArray:
     """Grey of the nearest pixels (M,), at the frame's edge those inside."""
     height, width = image.shape
-    column = np.minimum(np.maximum(np.rint(pixel[:, 0]), 0), width - 1).astype(np.intp)
-    row = np.minimum(np.maximum(np.rint(pixel[:, 1]), 0), height - 1).astype(np.intp)
+    column, row = (np.minimum(np.maximum(pixel.T + 0.5, 0.0), [[width - 1], [height - 1]])).astype(np.intp)
     return np.asarray(image[row, column], dtype=np.float64)
