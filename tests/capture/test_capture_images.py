@@ -153,15 +153,27 @@ def test_damage_in_a_packed_tiff_is_damage(compression: int, picture: np.ndarray
     whole = encoded(".tif", picture, cv2.IMWRITE_TIFF_COMPRESSION, compression)
     expected = picture if picture.ndim == 2 else LUMA
     assert np.array_equal(decode_grey(whole, "whole"), expected)
-    before = cv2.utils.logging.getLogLevel()
+    log = getattr(cv2.utils, "logging", cv2)
+    before = log.getLogLevel()
     if hushed:
-        cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
+        log.setLogLevel(0)
     try:
         for at in range(200, len(whole) - 600, 997):
             with pytest.raises(FrameError, match="is damaged"):
                 decode_grey(whole[:at] + bytes(30) + whole[at + 30 :], "frame")
     finally:
-        cv2.utils.logging.setLogLevel(before)
+        log.setLogLevel(before)
+
+
+@pytest.mark.parametrize("compression", [1, 5], ids=["none", "lzw"])
+def test_a_tag_that_libtiff_does_not_know_is_no_damage(compression: int, capfd: pytest.CaptureFixture[str]) -> None:
+    tiff = encoded(".tif", GREY, cv2.IMWRITE_TIFF_COMPRESSION, compression)
+    (directory,) = struct.unpack_from("<I", tiff, 4)
+    (count,) = struct.unpack_from("<H", tiff, directory)
+    entries = tiff[directory + 2 : directory + 2 + 12 * count] + struct.pack("<HHII", 65000, 4, 1, 7)
+    moved = tiff[:4] + struct.pack("<I", len(tiff)) + tiff[8:] + struct.pack("<H", count + 1) + entries + bytes(4)
+    assert np.array_equal(decode_grey(moved, "frame"), GREY)
+    assert capfd.readouterr().err == ""
 
 
 HOLED = JPEG[:HALF] + bytes(400) + JPEG[HALF + 400 :]

@@ -38,7 +38,8 @@ _KINDS_REMEDY = "give a JPEG, PNG, TIFF or binary PGM/PPM picture"
 _RIGHT_ALIGNED = 4096
 _STRAY_BYTES = re.compile(r"Corrupt JPEG data: (\d+) extraneous bytes before marker 0xd9")
 _COMPLAINTS = ("Corrupt JPEG data", "Premature end of JPEG", "Inconsistent progression", "libpng error")
-_TIFF_COMPLAINT = re.compile(r"TIFF_(Error|Warning (\w*Decode|JPEGLib)).*")
+_TIFF_COMPLAINT = re.compile(r"TIFF_(Error|Warning (\w*Decode|JPEGLib)).*|OpenCV TIFF: (?!TIFFReadDir|TIFFFetch).*")
+_NOT_TO_HAND_ON = (*_COMPLAINTS, "libpng", "[ WARN", "[ERROR", "[DEBUG", "[ INFO", "imdecode_", "OpenCV TIFF")
 _PADDING = range(4, 33)
 """Zeros at the end of a scan with which some cameras fill it up. Fewer may be the picture's own, more a hole in it."""
 
@@ -181,9 +182,7 @@ def _decode(data: bytes, source: str) -> tuple[NDArray[Any] | None, list[str]]:
                 what, "restart the program; if it happens again, look for what uses up memory or files"
             ) from None
     said = heard.said
-    others = [
-        line for line in said if line and not line.startswith((*_COMPLAINTS, "libpng", "[ WARN", "[ERROR", "imdecode_"))
-    ]
+    others = [line for line in said if line and not line.startswith(_NOT_TO_HAND_ON)]
     if others:
         with contextlib.suppress(OSError):
             os.write(2, "\n".join([*others, ""]).encode())
@@ -246,9 +245,14 @@ def _above_standard(descriptor: int) -> int:
 
 
 def _imdecode(buffer: NDArray[np.uint8]) -> NDArray[Any] | None:
-    log = cv2.utils.logging
+    """Decode with OpenCV speaking as loud as it takes to hear libtiff, which OPENCV_LOG_LEVEL may have hushed.
+
+    OpenCV 4.11, Bookworm's, keeps the log's level elsewhere, and says to nobody but those who debug what libtiff finds.
+    """
+    log: Any = getattr(cv2.utils, "logging", None)
+    log, audible = (cv2, 5) if log is None else (log, log.LOG_LEVEL_WARNING)
     level = log.getLogLevel()
-    log.setLogLevel(max(level, log.LOG_LEVEL_WARNING))  # OPENCV_LOG_LEVEL may have hushed libtiff
+    log.setLogLevel(max(level, audible))
     try:
         return cv2.imdecode(buffer, cv2.IMREAD_UNCHANGED)
     except cv2.error:
