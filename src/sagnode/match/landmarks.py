@@ -122,15 +122,14 @@ def consensus(patches: Sequence[Patch | None], options: Sequence[Sequence[Peak]]
 
 def _votes(patches: Sequence[Patch | None], offered: Sequence[int]) -> dict[int, float]:
     """How much each of the landmarks that are offered a place counts: 1 over the patches that cover its own."""
-    squares = {i: (patch.pixel, patch.image.shape[0]) for i in offered if (patch := patches[i]) is not None}
-    covered = {
-        i: sum(
-            float(np.prod(np.clip(1 - np.abs(pixel - other) / max(side, wide), 0.0, 1.0)))
-            for other, wide in squares.values()
-        )
-        for i, (pixel, side) in squares.items()
-    }
-    return {i: 1 / covered[i] if i in covered else 1.0 for i in offered}
+    own = {i: patch for i in offered if (patch := patches[i]) is not None}
+    if not own:
+        return dict.fromkeys(offered, 1.0)
+    pixels = np.array([patch.pixel for patch in own.values()])
+    sides = np.array([patch.image.shape[0] for patch in own.values()])
+    apart = np.abs(pixels[:, None] - pixels) / np.maximum(sides[:, None], sides)[..., None]
+    covered = np.maximum(1 - apart, 0.0).prod(axis=2).sum(axis=1)
+    return dict.fromkeys(offered, 1.0) | dict(zip(own, (1 / covered).tolist(), strict=True))
 
 
 def refine(frame: GreyImage, patch: Patch, peak: Peak) -> tuple[FloatArray, float]:
