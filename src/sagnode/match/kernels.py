@@ -17,8 +17,10 @@ MARGIN_PX = 3.0
 """Background that a kernel takes in on either side of the wire's blurred edge."""
 
 
-def wire_kernel(width_px: ArrayLike, positions: FloatArray, blur_px: float = BLUR_PX) -> FloatArray:
+def wire_kernel(width_px: ArrayLike, positions: FloatArray, blur_px: float | FloatArray = BLUR_PX) -> FloatArray:
     """Blurred box of ``width_px`` (...) and height 1 at ``positions`` (..., N) px across: shape (..., N).
+
+    Several blurs (B, ..., 1) give a first axis for them.
 
     A wire thinner than a pixel keeps the shape of the blur, with its peak scaled down by its width.
     """

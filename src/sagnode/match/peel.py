@@ -123,10 +123,10 @@ def _contrast(image: GreyImage, line: Line, others: Sequence[Line]) -> tuple[Flo
             beside.append((np.where(near, off, NOWHERE_PX), np.full(len(index), wide)))
     if merged.all():
         return place, np.zeros(len(place)), BLURS_PX[0]
-    left = [float(np.sum(_fitted(profile, across, width, beside, blur)[1][~merged] ** 2)) for blur in BLURS_PX]
-    blur = _least(BLURS_PX, left)
-    height, _ = _fitted(profile, across, width, beside, blur)
-    return place, np.interp(place, place[~merged], height[~merged]), blur
+    _, left = _fitted(profile, across, width, beside, np.array(BLURS_PX))
+    blur = _least(BLURS_PX, np.sum(left[:, ~merged] ** 2, axis=(1, 2)).tolist())
+    height, _ = _fitted(profile, across, width, beside, np.array([blur]))
+    return place, np.interp(place, place[~merged], height[0, ~merged]), blur
 
 
 def _least(places: Sequence[float], values: Sequence[float]) -> float:
@@ -143,22 +143,24 @@ def _fitted(
     across: FloatArray,
     width: FloatArray,
     beside: Sequence[tuple[FloatArray, FloatArray]],
-    blur: float,
+    blurs: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
-    """Contrast (M,) of a wire in the middle of profiles (M, K), and what a fit of it and those beside it leaves (M, K).
+    """Contrast (B, M) of a wire in the middle of profiles (M, K), and what a fit of it and those beside it leaves.
 
-    Those are given by how far aside (M,) they lie and how wide (M,) they are, px.
+    That is (B, M, K), for each of some blurs (B,), px. Those beside it are given by how far aside (M,) they lie and how
+    wide (M,) they are, px.
     """
     places = [(np.zeros(len(profile)), width), *beside]
-    shapes = [wire_kernel(wide, across - off[:, None], blur) for off, wide in places]
-    shapes += [np.broadcast_to(part, profile.shape) for part in (np.ones_like(across), across)]
-    basis = np.stack(shapes, axis=1)
-    square = basis @ basis.transpose(0, 2, 1)
-    ridge = RIDGE * np.einsum("mii->mi", square) + 1e-9
-    square += ridge[:, :, None] * np.eye(len(shapes))
+    basis = np.empty((len(blurs), len(profile), len(places) + 2, len(across)))
+    for k, (off, wide) in enumerate(places):
+        basis[:, :, k] = wire_kernel(wide, across - off[:, None], blurs[:, None, None])
+    basis[:, :, -2], basis[:, :, -1] = 1.0, across
+    square = basis @ basis.swapaxes(2, 3)
+    ridge = RIDGE * np.einsum("bmii->bmi", square) + 1e-9
+    square += ridge[..., None] * np.eye(len(places) + 2)
     height = np.linalg.solve(square, basis @ profile[:, :, None])
-    left = profile - np.sum(height * basis, axis=1)
-    return np.asarray(height[:, 0, 0]), np.asarray(left)
+    left = profile - np.sum(height * basis, axis=2)
+    return np.asarray(height[:, :, 0, 0]), np.asarray(left)
 
 
 def _take_out(image: GreyImage, line: Line, contrast: tuple[FloatArray, FloatArray, float]) -> None:
