@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from itertools import permutations
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -113,10 +114,10 @@ def _approach(conductor: SiteConductor, survey: Survey, theta: FloatArray, wire:
     low, high = survey.sag_range
     view, swing = view_of(survey, conductor, theta), float(theta[SWING])
     some = np.unique(np.linspace(0, len(wire.t) - 1, COMPARED).astype(np.intp))
-    points, normal = wire.measured[some], wire.normal[some]
+    about = _About.of(wire.measured[some], wire.normal[some])
     for number in range(TRIES):
-        here = _aside(view, float(theta[SAG]), swing, points, normal)
-        there = _aside(view, (1 + STEP) * float(theta[SAG]), swing, points, normal)
+        before = float(theta[SAG])
+        here, there = (_aside(view, sag, swing, about) for sag in (before, (1 + STEP) * before))
         both = np.isfinite(here) & np.isfinite(there)
         if np.mean(both) < 0.5:
             return False
@@ -126,23 +127,41 @@ def _approach(conductor: SiteConductor, survey: Survey, theta: FloatArray, wire:
         if number == 0 and median(left) > FAR_PX:
             return False
         theta[SAG] = min(max(wanted, 0.9 * low), 1.1 * high)
-    left = np.abs(_aside(view, float(theta[SAG]), swing, points, normal))
+        if theta[SAG] == before:
+            # where it does not move, it stays
+            break
+    left = np.abs(_aside(view, float(theta[SAG]), swing, about))
     return bool(np.mean(left < NEAR_PX) > 0.5)
 
 
-def _aside(view: View, sag: float, swing: float, points: FloatArray, normal: FloatArray) -> FloatArray:
-    """How far a curve lies aside of some points (M, 2), px along their normals (M, 2); NaN where it does not reach."""
+class _About(NamedTuple):
+    """Some points of the picture.
+
+    Attributes:
+        axes: normals and tangents there (2, M, 2).
+        places: the points along those (2, M, 1), px.
+    """
+
+    axes: FloatArray
+    places: FloatArray
+
+    @classmethod
+    def of(cls, points: FloatArray, normal: FloatArray) -> _About:
+        """Points (M, 2) and the normals there (M, 2)."""
+        axes = np.stack([normal, normal[:, ::-1] * (1.0, -1.0)])
+        return cls(axes, np.sum(axes * points, axis=2, keepdims=True))
+
+
+def _aside(view: View, sag: float, swing: float, about: _About) -> FloatArray:
+    """How far a curve lies aside of some points, px along their normals (M,); NaN where it does not reach."""
     t = even_parameters(view, sag, swing, SAMPLES)
     if len(t) < 2:
-        return np.full(len(points), np.nan)
-    curve = view.pixels(sag, swing, t)[0].T
-    tangent = normal[:, ::-1] * (1.0, -1.0)
-    across = normal @ curve - np.sum(normal * points, axis=1)[:, None]
-    along = tangent @ curve - np.sum(tangent * points, axis=1)[:, None]
+        return np.full(about.axes.shape[1], np.nan)
+    across, along = about.axes @ view.pixels(sag, swing, t)[0].T - about.places
     # where the curve crosses the normal nearest to the point
     crossing = np.where(along[:, 1:] * along[:, :-1] <= 0, np.abs(across[:, 1:]), np.inf)
     first = np.argmin(crossing, axis=1)
-    rows = np.arange(len(points))
+    rows = np.arange(len(first))
     before, after = along[rows, first], along[rows, first + 1]
     share = before / np.where(before == after, 1.0, before - after)
     aside = (1 - share) * across[rows, first] + share * across[rows, first + 1]
