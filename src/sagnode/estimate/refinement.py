@@ -95,8 +95,9 @@ def refine(
     solution: Solution | None = None
     observed: Observed | None = None
     offsets: CurveObservations | None = None
-    view = view_of(survey, conductor, theta)
-    curve = begun if begun is not None else trace(view, float(theta[SAG]), float(theta[SWING]))
+    view, curve = None, begun
+    if curve is None:
+        view, curve = _traced(survey, conductor, theta)
     for stage in stages:
         if curve is None:
             return None
@@ -110,20 +111,24 @@ def refine(
         if last:
             observed, offsets, solution = _with_tip(image, survey, observed, offsets, solution, registered, others)
         theta = solution.theta
-        view = view_of(survey, conductor, theta)
-        curve = trace(view, float(theta[SAG]), float(theta[SWING]))
-    if solution is None or observed is None or offsets is None or curve is None:
+        view, curve = _traced(survey, conductor, theta)
+    if solution is None or observed is None or offsets is None or view is None or curve is None:
         return None
     response = mixed_response(image, curve)
     return Matched(survey, solution, view, curve, observed, solution.curve, response)
+
+
+def _traced(survey: Survey, conductor: SiteConductor, theta: FloatArray) -> tuple[View, Track | None]:
+    """How the conductor's curves project at θ (28,), and its own."""
+    view = view_of(survey, conductor, theta)
+    return view, trace(view, float(theta[SAG]), float(theta[SWING]))
 
 
 def weighed(image: GreyImage, conductor: SiteConductor, registered: Registered, found: Matched) -> Matched:
     """The same conductor under all the loads that explain what was seen of it, by their weights."""
     start = found.solution.theta
     solution = solve_loads(found.survey, start, registered.camera, found.offsets, STAGES[-1].iterations)
-    view = view_of(found.survey, conductor, solution.theta)
-    curve = trace(view, float(solution.theta[SAG]), float(solution.theta[SWING]))
+    view, curve = _traced(found.survey, conductor, solution.theta)
     if curve is None or not solution.converged:
         return found
     response = mixed_response(image, curve)
@@ -212,8 +217,7 @@ def _foretold(
     solve_for = solve_loads if found.survey.load_u > 0 else solve_on_curve
     solution = solve_for(found.survey, theta, registered.camera, offsets, STAGES[-1].iterations)
     observed, offsets, solution = _with_tip(image, found.survey, observed, offsets, solution, registered, others)
-    view = view_of(found.survey, conductor, solution.theta)
-    curve = trace(view, float(solution.theta[SAG]), float(solution.theta[SWING]))
+    view, curve = _traced(found.survey, conductor, solution.theta)
     if curve is None:
         return None
     return replace(
