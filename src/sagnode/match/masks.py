@@ -66,9 +66,11 @@ def others_near(
 
     One that was taken out of the picture disturbs only where it cannot be told from the track's own.
     """
+    masked = np.zeros(len(index), dtype=bool)
+    if not others:
+        return masked
     pixels, normal, width = track.pixels[index], track.normal[index], track.width[index]
     reach = np.broadcast_to(reach, index.shape)
-    masked = np.zeros(len(index), dtype=bool)
     for offset in track.members[:, index]:
         place = pixels + offset[:, None] * normal
         for other in others:
@@ -90,17 +92,18 @@ def pulled(track: Track, index: NDArray[np.int64], others: Sequence[Neighbour]) 
     Of those where both are one line nothing is said.
     """
     variance = np.zeros(len(index))
+    taken_out = [(other, other.unsure) for other in others if other.unsure is not None]
+    if not taken_out:
+        return variance
     for offset in track.members[:, index]:
         place = track.pixels[index] + offset[:, None] * track.normal[index]
-        for other in others:
-            if other.unsure is None:
-                continue
+        for other, unsure in taken_out:
             away, nearest = aside(place, track.normal[index], other.pixels, BESIDE_PX)
             squared = np.where(np.isfinite(away), away, np.inf) ** 2
             spread = BLUR_PX**2 + np.maximum(track.width[index], other.width) ** 2 / 12
             share = np.exp(-0.25 * squared / spread) * (1 + 0.5 * np.minimum(squared, BESIDE_PX**2) / spread)
             apart = np.abs(away) > _merged(track.width[index], other)
-            own = np.where(apart, np.minimum(share, 1.0) * other.unsure[nearest], 0.0) ** 2
+            own = np.where(apart, np.minimum(share, 1.0) * unsure[nearest], 0.0) ** 2
             # so many samples err alike: together they are no surer than one
             variance += own * max(1.0, float(own.sum()) ** 2 / max(float(own @ own), 1e-300))
     return np.asarray(np.sqrt(variance))
