@@ -8,7 +8,7 @@ departure from its parabola is added in space before projection, and distortion 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
@@ -93,6 +93,14 @@ class View:
         return np.asarray(homogeneous[:, :2] / weights[:, None]), np.asarray(weights)
 
 
+@lru_cache(maxsize=16)
+def even_shares(count: int) -> FloatArray:
+    """So many places evenly from 0 to 1, kept since they are asked for some dozens of times a frame."""
+    shares = np.linspace(0.0, 1.0, count)
+    shares.setflags(write=False)
+    return shares
+
+
 def even_parameters(
     view: View, sag: float, swing: float, count: int, margin: float = 3.0, span_share: float = 0.0
 ) -> FloatArray:
@@ -108,7 +116,7 @@ def even_parameters(
     if span_share:
         along = np.concatenate([[0.0], np.cumsum(np.where(np.diff(arc) > 0, np.diff(t), 0.0))])
         share = (1 - span_share) * share + span_share * along / along[-1]
-    return np.asarray(np.interp(np.linspace(0.0, 1.0, count), share, t))
+    return np.asarray(np.interp(even_shares(count), share, t))
 
 
 def visible_part(view: View, sag: float, swing: float, margin: float = 3.0) -> tuple[FloatArray, FloatArray]:

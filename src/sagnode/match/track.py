@@ -12,7 +12,7 @@ from sagnode.capture.port import GreyImage
 from sagnode.geometry.camera import FloatArray
 from sagnode.match.bundle import lines
 from sagnode.match.ribbon import arc_length, line_response, normals
-from sagnode.match.templates import View, visible_part
+from sagnode.match.templates import View, even_shares, visible_part
 from sagnode.native import kernels
 
 MAX_SAMPLES = 6000
@@ -86,4 +86,4 @@ def mixed_samples(track: Track, count: int) -> NDArray[np.intp]:
     In a view along the line the near metres take most of the picture and the far half of the span a few pixels.
     """
     share = 0.5 * track.arc / track.arc[-1] + 0.5 * (track.t - track.t[0]) / (track.t[-1] - track.t[0])
-    return np.minimum(np.searchsorted(share, np.linspace(0.0, 1.0, count)), len(share) - 1)
+    return np.minimum(np.searchsorted(share, even_shares(count)), len(share) - 1)
