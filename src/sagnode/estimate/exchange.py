@@ -59,12 +59,13 @@ def exchangeable(
     """
     seen = {c.id: each for c in conductors for each in [found.get(c.id)] if each is not None and _shows(each)}
     settled = {name for name, each in seen.items() if _certain(each)}
+    surveys = {c.id: survey_of(c, registered) for c in conductors}
     misfits: dict[tuple[str, str], float] = {}
 
     def misfit(conductor: SiteConductor, wire: str) -> float:
         key = (conductor.id, wire)
         if key not in misfits:
-            misfits[key] = _misfit_on(conductor, registered, seen[wire])
+            misfits[key] = _misfit_on(conductor, surveys[conductor.id], registered, seen[wire])
         return misfits[key]
 
     result: dict[str, str] = {}
@@ -90,9 +91,8 @@ def _certain(match: Matched) -> bool:
     return not len(match.sighting.seen) or visible_share(match) >= CERTAIN_SHARE
 
 
-def _misfit_on(conductor: SiteConductor, registered: Registered, wire: Matched) -> float:
+def _misfit_on(conductor: SiteConductor, survey: Survey, registered: Registered, wire: Matched) -> float:
     """Misfit of a conductor under an even load on the offsets of a wire; infinite where it cannot come near it."""
-    survey = survey_of(conductor, registered)
     theta = registered.theta.copy()
     theta[ATTACHMENTS], theta[LOAD] = 0.0, 0.0
     theta[SAG], theta[SWING] = np.clip(wire.solution.theta[SAG], *survey.sag_range), wire.solution.theta[SWING]
