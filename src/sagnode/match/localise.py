@@ -136,7 +136,7 @@ def localise_beside(
         return blocks, Beside(empty, empty.astype(bool))
     arc = arc_length(pixels)
     starts = block_starts(arc, block_px)
-    width, half_range = (np.broadcast_to(np.asarray(a, dtype=np.float64), arc.shape) for a in (width_px, half_range_px))
+    width, half_range = (_along(arc, value) for value in (width_px, half_range_px))
     members = np.zeros((1, len(pixels))) if members is None else members
     centres = np.rint(np.array([0.0, *shifts_px]) / STEP_PX).astype(np.int64)
     stretch = Stretch(pixels, normal, width, half_range, members, starts, blur_px, margin_px, exact)
@@ -155,6 +155,12 @@ def localise_beside(
         scatter=_scatter(image, stretch, size, halves & (sigma > SURE_PX)),
     )
     return blocks, Beside(seen.beside, seen.inside)
+
+
+def _along(arc: FloatArray, value: ArrayLike) -> FloatArray:
+    """What is said of all samples of a curve, or of each (N,), as said of each."""
+    own = np.asarray(value, dtype=np.float64)
+    return own if own.shape == arc.shape else np.full(arc.shape, own)
 
 
 def _scatter(image: AnyGrey, stretch: Stretch, size: NDArray[np.int64], asked: NDArray[np.bool_]) -> FloatArray:
