@@ -11,8 +11,10 @@ import cv2
 import pytest
 
 from presets import simple_scene
+from sagnode.calibrate.files import save_intrinsics
 from sagnode.cli.main import main
 from sagnode.config.show import toml_text
+from sagnode.plan.lenses import SENSORS
 
 Capture = pytest.CaptureFixture[str]
 SENSOR = "640x480x3.45"
@@ -110,8 +112,6 @@ def test_several_lenses_and_places_make_a_table_and_the_best_is_told(span_file: 
 def test_a_view_in_which_nothing_is_seen_exits_with_1(tmp_path: Path, capsys: Capture) -> None:
     document = tables()
     document["camera"]["azimuth_deg"] = 180.0
-    from sagnode.calibrate.files import save_intrinsics
-
     save_intrinsics(tmp_path / "camera.yaml", simple_scene()[0].intrinsics)
     document["camera"]["intrinsics"] = "camera.yaml"
     code, out, _ = plan(capsys, "--config", write(tmp_path, document))
@@ -169,6 +169,7 @@ def test_the_examples_own_survey_has_landmarks_to_plan_with(tmp_path: Path, caps
         ((), "the lens is not calibrated yet"),
         (("--focal", "6"), "--focal needs the sensor"),
         (("--focal", "6", "--sensor", "imx1"), "no such sensor"),
+        (("--sensor", "imx296"), "--sensor imx296 says nothing without a lens"),
         ((*LENS, "--grid", "0:60:900,1:2:900,3"), "at most 2000"),
     ],
 )
@@ -177,6 +178,16 @@ def test_what_is_needed_is_asked_for(words: tuple[str, ...], what: str, span_fil
     assert code == 2
     assert what in err
     assert "remedy:" in err
+
+
+def test_a_sensor_that_is_none_is_refused_beside_a_calibrated_lens(tmp_path: Path, capsys: Capture) -> None:
+    document = tables()
+    save_intrinsics(tmp_path / "camera.yaml", simple_scene()[0].intrinsics)
+    document["camera"]["intrinsics"] = "camera.yaml"
+    code, out, err = plan(capsys, "--config", write(tmp_path, document), "--sensor", "nope")
+    assert (code, out) == (2, "")
+    assert "--sensor nope: no such sensor" in err
+    assert all(sensor.name in err for sensor in SENSORS)
 
 
 @pytest.mark.parametrize(

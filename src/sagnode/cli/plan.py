@@ -139,8 +139,12 @@ def _cameras(draft: Draft, args: argparse.Namespace) -> list[PlannedCamera]:
     """The surveyed camera, or every combination of the places and lenses that were asked for."""
     from sagnode.calibrate.files import load_intrinsics
     from sagnode.plan.camera import PlannedCamera
+    from sagnode.plan.lenses import named_sensor
     from sagnode.plan.study import aimed
 
+    if args.sensor is not None and args.focal is None:
+        sensor = named_sensor(args.sensor)
+        raise ConfigError(f"--sensor {sensor.name} says nothing without a lens", "give --focal too, with or without MM")
     survey = draft.span.camera
     calibrated = load_intrinsics(survey.intrinsics) if draft.calibrated else None
     own = None
