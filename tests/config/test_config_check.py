@@ -8,7 +8,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from config_files import SiteFiles
+from config_files import CAMERA, SiteFiles
 
 from sagnode.calibrate.files import save_intrinsics
 from sagnode.check.configuration import Report, check
@@ -186,6 +186,26 @@ def test_a_lens_too_short_is_noticed(site: SiteFiles) -> None:
     save_intrinsics(site.directory / "camera.yaml", Intrinsics(1456, 1088, 50.0, 50.0, 727.5, 543.5))
     texts = [warning.text for warning in check(site.node).warnings]
     assert any("its lens too short to measure it" in text for text in texts)
+
+
+@pytest.mark.parametrize(
+    ("note", "warned"),
+    [
+        ({"avg_reprojection_error": 17.0}, "avg_reprojection_error = 17 px"),
+        ({"rms_px": 0.6}, "rms_px = 0.6 px"),
+        ({"rms": float("nan")}, "rms = nan px"),
+        ({"rms_px": 0.2}, None),
+        ({"rms": "unknown"}, None),
+    ],
+)
+def test_a_calibration_that_says_itself_that_it_fits_badly_is_noticed(
+    site: SiteFiles, note: dict[str, float | str], warned: str | None
+) -> None:
+    save_intrinsics(site.directory / "camera.yaml", CAMERA, note)
+    report = check(site.node)
+    assert report.faults == ()
+    assert keys(report) == (["camera.intrinsics"] if warned else [])
+    assert warned is None or warned in report.warnings[0].text
 
 
 def test_a_damaged_calibration_is_a_fault(site: SiteFiles) -> None:

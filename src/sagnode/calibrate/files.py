@@ -23,9 +23,21 @@ _DISTORTION_KEYS = ("distortioncoefficients", "distortioncoeffs", "distcoeffs", 
 _WIDTH_KEYS, _HEIGHT_KEYS = ("imagewidth", "width"), ("imageheight", "height")
 _SIZE_KEYS = ("imagesize", "imgsize", "resolution")
 _MODEL_KEYS = ("distortionmodel", "cameramodel", "model")
+_ERROR_KEYS = (
+    "avgreprojectionerror",
+    "rmspx",
+    "rms",
+    "rmserror",
+    "reprojectionerror",
+    "rmsreprojectionerror",
+    "meanreprojectionerror",
+)
 _PINHOLE = {"", "plumbbob", "radtan", "rationalpolynomial", "pinhole", "brown", "opencv", "none"}
 _FISHEYE = {"equidistant", "fisheye", "kannalabrandt", "kannalabrandt4"}
 _CALIBRATE = "make it anew with: sagnode calibrate"
+
+GOOD_RMS_PX = 0.5
+"""Reprojection errors beyond it are those of blurred pictures, of a board that is not flat, or of another lens."""
 
 
 def load_intrinsics(path: Path | str) -> Intrinsics:
@@ -53,6 +65,16 @@ def load_intrinsics(path: Path | str) -> Intrinsics:
         _check_invertible(found, intrinsics)
     found.raise_faults()
     return intrinsics
+
+
+def stated_error(path: Path | str) -> tuple[str, float] | None:
+    """The reprojection error that a calibration file says it was made with: its key and px; None where it says none.
+
+    Raises:
+        ConfigError: the file is missing or unreadable.
+    """
+    path = Path(path)
+    return _Keys(path, _read(path)).error()
 
 
 def save_intrinsics(path: Path | str, intrinsics: Intrinsics, notes: Mapping[str, float | str] | None = None) -> None:
@@ -207,6 +229,12 @@ class _Keys:
         if abs(skew) > 1e-6 * abs(fx) or low != 0 or last != [0.0, 0.0, 1.0]:
             self.fault(key, "is not of the form fx 0 cx / 0 fy cy / 0 0 1")
         return fx, fy, cx, cy
+
+    def error(self) -> tuple[str, float] | None:
+        """Key and value of the reprojection error; None where there is none, or no number."""
+        entry = self._find(_ERROR_KEYS)
+        number = None if entry is None else _number(entry[1])
+        return (entry[0], number[0]) if entry is not None and number else None
 
     def lens(self) -> tuple[Literal["pinhole", "fisheye"], tuple[float, ...]]:
         """Distortion model and coefficients."""

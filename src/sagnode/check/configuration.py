@@ -74,10 +74,22 @@ def _look_at_span(document: Document, loaded: LoadedNode | LoadedSpan) -> tuple[
     if span.camera.reference_image is not None:
         wrong = reference_fault(span.camera.reference_image, intrinsics)
         faults = [document.fault(("camera", "reference_image"), wrong)] if wrong else []
-    said = list(survey_warnings(span, intrinsics))
+    said = [*_calibration_warnings(span), *survey_warnings(span, intrinsics)]
     if isinstance(loaded, LoadedNode):
         said += _size_warnings(loaded.node, intrinsics.width, intrinsics.height)
     return faults, [document.fault(key, text) for key, text in said]
+
+
+def _calibration_warnings(span: Span) -> Iterator[Warned]:
+    from sagnode.calibrate.files import GOOD_RMS_PX, stated_error
+
+    stated = stated_error(span.camera.intrinsics)
+    if stated is not None and not 0 <= stated[1] <= GOOD_RMS_PX:
+        text = (
+            f"were made with {stated[0]} = {stated[1]:.3g} px, and {GOOD_RMS_PX:g} px is much; such a lens draws the"
+            " wires elsewhere than they are; calibrate anew, with sharp pictures of a flat board"
+        )
+        yield ("camera", "intrinsics"), text
 
 
 def _size_warnings(node: Node, width: int, height: int) -> Iterator[Warned]:

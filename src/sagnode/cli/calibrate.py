@@ -20,7 +20,6 @@ Print a chessboard, glue it to a flat plate, fix the lens's focus where it will 
 filling a third to all of the frame, in every corner of it, tilted by 20 to 45 degrees to all sides, never blurred."""
 EPILOG = """exit codes: 0 the camera is well known, 1 written but with reservations (or not enough views), 2 usage"""
 _ENOUGH_VIEWS = 10
-_GOOD_RMS_PX = 0.5
 _GOOD_FOCAL = 0.002
 _GOOD_COVER = 0.5
 
@@ -76,11 +75,13 @@ def run(args: argparse.Namespace) -> int:
 
 def judge(result: Calibration) -> list[str]:
     """What speaks against relying on it, each with what to do; empty when nothing does."""
+    from sagnode.calibrate.files import GOOD_RMS_PX
+
     reservations = []
     views, focal_u = len(result.view_errors_px), result.uncertainty["fx"] / result.intrinsics.fx
     if views < _ENOUGH_VIEWS:
         reservations.append(f"only {views} views: take at least {_ENOUGH_VIEWS}, from different directions")
-    if result.rms_px > _GOOD_RMS_PX:
+    if result.rms_px > GOOD_RMS_PX:
         reservations.append(f"reprojection error {result.rms_px:.2f} px: blurred pictures, or a board that is not flat")
     if result.held_out_rms_px > max(1.5 * result.rms_px, result.rms_px + 0.1):
         reservations.append(
