@@ -162,6 +162,30 @@ def test_a_wrong_landmark_is_named_and_the_right_ones_are_not(site: SiteFiles) -
     assert keys(report) == ["landmarks[1]"]
 
 
+def _phases(*given: dict[str, Any]) -> Any:
+    return lambda span: [conductor.update(of) for conductor, of in zip(span["conductors"], given, strict=True)]
+
+
+@pytest.mark.parametrize(
+    ("given", "warned"),
+    [
+        (({"phase": "L1"}, {"phase": "L1"}), True),
+        (({"phase": "L1", "circuit": "north"}, {"phase": "L1", "circuit": "north"}), True),
+        (({"phase": "L1", "circuit": "north"}, {"phase": "L1", "circuit": "south"}), False),
+        (({"phase": "L1"}, {"phase": "L2"}), False),
+        (({"phase": "earth"}, {"phase": "earth", "measured": False}), False),
+        (({}, {}), False),
+    ],
+)
+def test_two_conductors_of_one_circuit_have_two_phases(
+    site: SiteFiles, given: tuple[dict[str, Any], ...], warned: bool
+) -> None:
+    report = check(site.write(span=_phases(*given)).node)
+    assert report.faults == ()
+    assert keys(report) == (["conductors[1].phase"] if warned else [])
+    assert all("L2 and L1 are both L1" in warning.text for warning in report.warnings)
+
+
 def test_a_slightly_turned_camera_within_its_uncertainty_is_no_oddity(site: SiteFiles) -> None:
     assert check(site.write(span=lambda s: s["camera"].update(azimuth_deg=0.4, elevation_deg=3.2)).node).warnings == ()
 

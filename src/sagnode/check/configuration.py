@@ -48,6 +48,7 @@ def check(path: Path) -> Report:
         return Report(None, examined.faults, ())
     span_document = examined.documents[-1]
     faults, warnings = _look_at_span(span_document, loaded)
+    warnings += [span_document.fault(key, text) for key, text in _phase_warnings(loaded.span)]
     documents = {document.path: document for document in examined.documents}
     warnings += [documents[file].fault(key, text) for file, key, text in exposures(loaded)]
     if isinstance(loaded, LoadedNode):
@@ -90,6 +91,20 @@ def _calibration_warnings(span: Span) -> Iterator[Warned]:
             " wires elsewhere than they are; calibrate anew, with sharp pictures of a flat board"
         )
         yield ("camera", "intrinsics"), text
+
+
+def _phase_warnings(span: Span) -> Iterator[Warned]:
+    first: dict[tuple[str | None, str], str] = {}
+    for index, conductor in enumerate(span.conductors):
+        if not conductor.measured or conductor.phase is None:
+            continue
+        other = first.setdefault((conductor.circuit, conductor.phase), conductor.id)
+        if other != conductor.id:
+            text = (
+                f"{conductor.id} and {other} are both {conductor.phase}; readings of the one could be taken for the"
+                " other's; give each its own phase, or name the circuit of each where the towers carry several"
+            )
+            yield ("conductors", index, "phase"), text
 
 
 def _size_warnings(node: Node, width: int, height: int) -> Iterator[Warned]:
