@@ -66,6 +66,8 @@ def _span() -> dict[str, Any]:
 
 
 SPAN = _span()
+COUNTRY = cv2.resize(np.random.default_rng(1).integers(40, 216, (136, 182), np.uint8), (CAMERA.width, CAMERA.height))
+"""A picture with something to recognise wherever a landmark is clicked."""
 
 
 class SiteFiles:
@@ -77,7 +79,7 @@ class SiteFiles:
         self.span = directory / "span.toml"
         directory.mkdir(parents=True, exist_ok=True)
         save_intrinsics(directory / "camera.yaml", CAMERA)
-        cv2.imwrite(str(directory / "reference.png"), np.full((1088, 1456), 128, np.uint8))
+        cv2.imwrite(str(directory / "reference.png"), COUNTRY)
         (directory / "frames").mkdir()
         cv2.imwrite(str(directory / "frames" / "one.png"), np.full((1088, 1456), 128, np.uint8))
         self.write()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ from sagnode.check.configuration import Report, check
 from sagnode.geometry.camera import Intrinsics
 
 CONFIGS = Path(__file__).parents[2] / "configs"
+DEMO = Path(__file__).parents[2] / "src" / "sagnode" / "demo" / "site"
 
 
 def keys(report: Report) -> list[str]:
@@ -42,7 +44,7 @@ def test_the_examples_are_in_order_but_for_the_files_that_a_user_adds(example: s
 
 
 def test_the_demonstrations_site_is_in_order_and_lacks_a_broker_only() -> None:
-    report = check(Path(__file__).parents[2] / "src" / "sagnode" / "demo" / "site")
+    report = check(DEMO)
     assert report.faults == ()
     assert [warning.text for warning in report.warnings] == [
         "there is no table [mqtt]; readings are kept and shown here, and published nowhere"
@@ -247,6 +249,44 @@ def test_a_reference_image_of_another_size_or_that_is_none_is_a_fault(site: Site
     (site.directory / "reference.png").write_text("no picture")
     (fault,) = check(site.node).faults
     assert fault.key == "camera.reference_image"
+
+
+def _upside_down(picture: Any) -> Any:
+    return picture[::-1, ::-1]
+
+
+def _noise_only(picture: Any) -> Any:
+    return np.random.default_rng(2).normal(128, 6, picture.shape).clip(0, 255).astype(np.uint8)
+
+
+@pytest.mark.parametrize(
+    ("spoil", "missing"),
+    [
+        (np.zeros_like, "10 of 10 landmarks are not in reference.jpg"),
+        (_noise_only, "10 of 10 landmarks are not in reference.jpg"),
+        (_upside_down, "target-left, target-right, target-middle, barn-ridge, house-ridge and 1 more were clicked"),
+    ],
+)
+def test_a_reference_picture_without_the_landmarks_that_were_clicked_is_noticed(
+    tmp_path: Path, spoil: Any, missing: str
+) -> None:
+    shutil.copytree(DEMO, tmp_path / "site", ignore=shutil.ignore_patterns("frames"))
+    reference = tmp_path / "site" / "reference.jpg"
+    picture = cv2.imread(str(reference), cv2.IMREAD_GRAYSCALE)
+    cv2.imwrite(str(reference), spoil(picture), [cv2.IMWRITE_JPEG_QUALITY, 95])
+    report = check(tmp_path / "site" / "span.toml")
+    assert report.faults == ()
+    (warning,) = report.warnings
+    assert warning.key == "camera.reference_image"
+    assert missing in warning.text
+
+
+def test_a_landmark_whose_square_reaches_over_the_edge_is_named(site: SiteFiles) -> None:
+    site.write(span=lambda s: s["landmarks"][2].update(size_px=255, pixel=[800.0, 90.0], position_u_m=9.0))
+    warnings = check(site.node).warnings
+    assert [(w.key, "lies 90 px from the edge of reference.png" in w.text) for w in warnings] == [
+        ("landmarks[2].pixel", True)
+    ]
 
 
 def test_a_span_file_alone_is_looked_over_too(site: SiteFiles) -> None:

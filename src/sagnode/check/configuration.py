@@ -18,7 +18,7 @@ from sagnode.config.load import LoadedNode, LoadedSpan, examine
 from sagnode.config.mqtt import Mqtt
 from sagnode.config.node import Node
 from sagnode.config.span import Span
-from sagnode.errors import ConfigError
+from sagnode.errors import ConfigError, FrameError
 
 Warned = tuple[KeyPath, str]
 """A key path and a sentence that says what is odd, why it matters and what to do."""
@@ -63,7 +63,8 @@ def _look_at_span(document: Document, loaded: LoadedNode | LoadedSpan) -> tuple[
     span = loaded.span
     try:
         from sagnode.calibrate.files import load_intrinsics
-        from sagnode.check.sightlines import reference_fault, survey_warnings
+        from sagnode.check.reference import read_reference, reference_warnings
+        from sagnode.check.sightlines import survey_warnings
     except ImportError as error:
         text = f"the calibration file and the geometry were not looked at, for {error.name} cannot be imported"
         return [], [document.fault((), text)]
@@ -72,10 +73,13 @@ def _look_at_span(document: Document, loaded: LoadedNode | LoadedSpan) -> tuple[
         intrinsics = load_intrinsics(span.camera.intrinsics)
     except ConfigError as error:
         return [document.fault(("camera", "intrinsics"), fault) for fault in error.faults], []
-    if span.camera.reference_image is not None:
-        wrong = reference_fault(span.camera.reference_image, intrinsics)
-        faults = [document.fault(("camera", "reference_image"), wrong)] if wrong else []
     said = [*_calibration_warnings(span), *survey_warnings(span, intrinsics)]
+    file = span.camera.reference_image
+    if file is not None:
+        try:
+            said += reference_warnings(file, read_reference(file, intrinsics), span.landmarks)
+        except FrameError as error:
+            faults.append(document.fault(("camera", "reference_image"), str(error)))
     if isinstance(loaded, LoadedNode):
         said += _size_warnings(loaded.node, intrinsics.width, intrinsics.height)
     return faults, [document.fault(key, text) for key, text in said]

@@ -6,7 +6,6 @@ Needs NumPy; :mod:`sagnode.check.configuration` imports it only where that is in
 from __future__ import annotations
 
 from collections.abc import Iterator
-from pathlib import Path
 
 import numpy as np
 
@@ -14,7 +13,6 @@ from sagnode.check.landmark_sights import landmark_warnings
 from sagnode.check.wire_warnings import obstacle_warnings, wire_warnings
 from sagnode.config.lines import KeyPath
 from sagnode.config.span import Conductor, Span
-from sagnode.errors import FrameError
 from sagnode.geometry.camera import Intrinsics, Pose, inside, project, rotation_from_angles
 from sagnode.geometry.conductor import conductor_points
 from sagnode.geometry.ground import GroundProfile
@@ -24,20 +22,6 @@ Warned = tuple[KeyPath, str]
 
 SMALLEST_SHARE = 0.15
 """Of a span less than this in the picture leaves sag to the survey."""
-
-
-def reference_fault(path: Path, intrinsics: Intrinsics) -> str | None:
-    """Why a reference image cannot be used with these intrinsics, None if it can."""
-    from sagnode.capture.images import read_grey
-
-    try:
-        height, width = read_grey(path).shape
-    except FrameError as error:
-        return str(error)
-    if (width, height) == (intrinsics.width, intrinsics.height):
-        return None
-    expected = f"the intrinsics belong to {intrinsics.width}x{intrinsics.height}"
-    return f"{path} has {width}x{height} px, and {expected}; take it with the camera settings of the calibration"
 
 
 def survey_warnings(span: Span, intrinsics: Intrinsics) -> Iterator[Warned]:
