@@ -75,6 +75,14 @@ def test_the_budget_for_people_holds_what_counts_and_json_holds_all(lab: Path, c
         assert u == pytest.approx(parts[name], rel=0.01, abs=0.006), name
 
 
+def test_a_refused_reading_has_no_budget(lab: Path, capsys: Capture) -> None:
+    (empty,) = (lab / "empty").glob("*.png")
+    _, readings = measure(lab, capsys, empty, "--budget")
+    assert [(reading["quality"]["validity"], reading["budget"]) for reading in readings] == [("invalid", {})] * 2
+    main(["measure", "--config", str(lab), str(empty), "--budget"])
+    assert "by source" not in capsys.readouterr().out
+
+
 def test_every_source_of_uncertainty_is_explained_to_the_user(lab: Path, capsys: Capture) -> None:
     from sagnode.estimate.joint import SOURCES
 

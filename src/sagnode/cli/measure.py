@@ -53,7 +53,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--budget",
         action="store_true",
-        help="tell what each uncertainty is made of; docs/operations.md says what to do about each source",
+        help="tell what each uncertainty is made of, where a reading is not refused; docs/operations.md says what to do"
+        " about each source",
     )
     parser.add_argument(
         "--method", choices=typing.get_args(Method), help="matcher, instead of the configured one; for comparison"
