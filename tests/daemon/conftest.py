@@ -1,7 +1,13 @@
-"""The node that the tests of the link begin with."""
+"""What the tests of the link and of the journal begin with."""
 
 import pytest
 from links import LinkedNode
+
+
+@pytest.fixture
+def path(tmp_path):
+    """Where a journal is to be."""
+    return tmp_path / "journal.sqlite"
 
 
 @pytest.fixture

@@ -13,7 +13,7 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import pytest
-from readings import START, fill, reading
+from readings import START, fill, numbers, reading
 
 from sagnode.daemon.journal import Journal
 from sagnode.daemon.journal_file import SCHEMA_VERSION
@@ -21,15 +21,6 @@ from sagnode.daemon.journal_table import used_bytes
 from sagnode.errors import JournalError
 
 NOW = datetime(2026, 7, 1, tzinfo=UTC)
-
-
-@pytest.fixture
-def path(tmp_path):
-    return tmp_path / "journal.sqlite"
-
-
-def numbers(journal):
-    return [row.sequence for row in journal.pending(0, 1_000_000)]
 
 
 def test_a_burst_is_committed_whole_and_found_again(path):
@@ -119,7 +110,7 @@ WRITER = textwrap.dedent(
     import sys
     from pathlib import Path
     sys.path.insert(0, {here!r})
-    from readings import fill
+    from readings import fill, numbers
     from sagnode.daemon.journal import Journal
     journal = Journal(Path(sys.argv[1]))
     while True:

@@ -8,7 +8,7 @@ import sqlite3
 from datetime import UTC, datetime
 
 import pytest
-from readings import fill
+from readings import fill, numbers
 
 from sagnode.daemon import salvage
 from sagnode.daemon import sequence as sequence_module
@@ -17,15 +17,6 @@ from sagnode.daemon.wal import lost_frames
 from sagnode.errors import DiskError, JournalError
 
 NOW = datetime(2026, 7, 1, tzinfo=UTC)
-
-
-@pytest.fixture
-def path(tmp_path):
-    return tmp_path / "journal.sqlite"
-
-
-def numbers(journal):
-    return [row.sequence for row in journal.pending(0, 1_000_000)]
 
 
 def flip(file, offset, bit=0):

@@ -15,11 +15,6 @@ from sagnode.daemon.journal import Journal
 from sagnode.errors import JournalError
 
 
-@pytest.fixture
-def path(tmp_path):
-    return tmp_path / "journal.sqlite"
-
-
 def kept(path):
     """Numbers and fates on the disk, for whoever comes next."""
     journal = Journal(path)

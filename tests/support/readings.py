@@ -35,6 +35,11 @@ def reading(sequence, conductor="L1", **fields):
     return Reading(**{**defaults, **fields})
 
 
+def numbers(journal):
+    """The sequence numbers that a journal still owes the broker."""
+    return [row.sequence for row in journal.pending(0, 1_000_000)]
+
+
 def fill(journal, count, conductors=("L1", "L2", "L3"), *, owed=True):
     for _ in range(count):
         first = journal.next_sequence
