@@ -17,8 +17,6 @@ MODES = {
 CUTS = ("before-puback", "inside-puback", "inside-publish", "after-publish")
 ON_THE_WIRE = 20
 """As configured by the rig: so many readings can have lost their PUBACK with one link."""
-UNWRITTEN = 50
-"""Acknowledgements that are written to the journal together; a killed daemon, not a lost link, may forget them."""
 
 
 def run(campaign):
