@@ -92,14 +92,34 @@ def fault(cause, detail, text, request, **more):
     say({"kind": "fault", "id": request["id"], "reason": reason, **more})
 
 
+SIGNALS = {"kill": 9, "segfault": 11, "abort": 6, "terminate": 15}
+FAULTS = {
+    "camera-fault": ("camera-fault", "failure", "no frame in 5 s"),
+    "night": ("dark", "failure", "median grey 3 of 255"),
+    "stale": ("stale-frame", "oldData", "the same frame again, bit for bit"),
+}
+
+
 def misbehave(kind, request):
     """Do the wrong thing; returns when the worker is meant to live on."""
     token, reply = good(request)
-    first = reply["results"][0]
+    if kind in SIGNALS:
+        die(SIGNALS[kind])
+    elif kind in FAULTS:
+        fault(*FAULTS[kind], request)
+    elif not (
+        perish(kind, token, reply, request)
+        or babble(kind, token, reply)
+        or tell_in_part(kind, token, reply)
+        or tell_all_oddly(kind, token, reply)
+    ):
+        raise SystemExit(f"unknown kind {kind}")
+
+
+def perish(kind, token, reply, request):
+    """End, or never go on; returns whether this kind is one of those."""
     if kind == "exit":
         sys.exit(3)
-    elif kind in {"kill", "segfault", "abort", "terminate"}:
-        die({"kill": 9, "segfault": 11, "abort": 6, "terminate": 15}[kind])
     elif kind == "hang":
         time.sleep(60)
     elif kind == "stop":  # like SIGSTOP from a debugger, or a process in the driver's state D
@@ -108,11 +128,24 @@ def misbehave(kind, request):
         if os.fork() == 0:
             time.sleep(60)
         time.sleep(60)
-    elif kind == "garbage":
-        say(os.urandom(200).replace(b"\n", b"") + b"\n")
     elif kind == "half-line":
         say(json.dumps(reply).encode()[: 20 + token % 200])
         sys.exit(0)
+    elif kind == "memory-blow-up":
+        blow_up(request)
+    elif kind == "fatal":
+        fault("bad-calibration", "badReference", "the calibration cannot be read", request, fatal=True)
+        sys.exit(70)
+    else:
+        return False
+    return True
+
+
+def babble(kind, token, reply):
+    """A line that is no reply to what was asked, or holds what is no number; returns whether this kind is one."""
+    first = reply["results"][0]
+    if kind == "garbage":
+        say(os.urandom(200).replace(b"\n", b"") + b"\n")
     elif kind == "flipped-bits":
         line = bytearray(json.dumps(reply).encode())
         line[1] ^= 0x40  # never again JSON, whatever else flips
@@ -121,70 +154,55 @@ def misbehave(kind, request):
         say(bytes(line).replace(b"\n", b" ") + b"\n")
     elif kind == "long-line":
         say(b"x" * 1_200_000)
-    elif kind == "wrong-id":
-        reply["id"] += 1 + token % 9
-        say(reply)
-    elif kind == "old-reply":
-        reply["id"] -= 1
-        say(reply)
     elif kind == "second-hello":
         say({"kind": "hello", "pid": os.getpid(), "camera": "x", "calibration_id": "x"})
-    elif kind == "not-a-number":
-        first["estimates"]["sag"][token % 4] = float("nan")
+    elif kind in {"wrong-id", "old-reply"}:
+        reply["id"] += 1 + token % 9 if kind == "wrong-id" else -1
         say(reply)
-    elif kind == "infinite":
-        first["estimates"]["sag"][token % 4] = float("inf")
+    elif kind in {"not-a-number", "infinite"}:
+        first["estimates"]["sag"][token % 4] = float("nan" if kind == "not-a-number" else "inf")
         say(reply)
-    elif kind == "interval-inside-out":
+    else:
+        return False
+    return True
+
+
+def tell_in_part(kind, token, reply):
+    """A reply of which one conductor's numbers may not be told; returns whether this kind is one."""
+    first = reply["results"][0]
+    if kind == "interval-inside-out":
         first["estimates"]["sag"][2:] = first["estimates"]["sag"][:1:-1]
-        note(f"P {token}")
-        say(reply)
     elif kind == "negative-uncertainty":
         first["estimates"]["clearance"][1] *= -1
-        note(f"P {token}")
-        say(reply)
     elif kind == "numbers-with-invalid":
         first["validity"] = "invalid"
         first["reasons"] = [{"cause": "dark", "detail_qual": "failure", "text": "night"}]
-        note(f"P {token}")
-        say(reply)
     elif kind == "without-sag":
         del first["estimates"]["sag"]
-        note(f"P {token}")
-        say(reply)
     elif kind == "conductor-missing":
         reply["results"] = reply["results"][1:]
-        note(f"P {token}")
-        say(reply)
     elif kind == "conductor-unknown":
         first["conductor"] = "nobody"
-        note(f"P {token}")
-        say(reply)
-    elif kind == "memory-blow-up":
-        blow_up(request)
-    elif kind == "leak":
+    else:
+        return False
+    note(f"P {token}")
+    say(reply)
+    return True
+
+
+def tell_all_oddly(kind, token, reply):
+    """A good reply that comes with something else wrong; returns whether this kind is one."""
+    if kind == "leak":
         reply["memory_mb"] = 5000.0
-        note(f"G {token}")
-        say(reply)
-    elif kind == "camera-fault":
-        fault("camera-fault", "failure", "no frame in 5 s", request)
-    elif kind == "night":
-        fault("dark", "failure", "median grey 3 of 255", request)
-    elif kind == "stale":
-        fault("stale-frame", "oldData", "the same frame again, bit for bit", request)
-    elif kind == "fatal":
-        fault("bad-calibration", "badReference", "the calibration cannot be read", request, fatal=True)
-        sys.exit(70)
     elif kind == "slow":
         time.sleep(0.2)
-        note(f"G {token}")
-        say(reply)
     elif kind == "noisy":
         os.write(1, b"noise on standard output " * 4000)
-        note(f"G {token}")
-        say(reply)
     else:
-        raise SystemExit(f"unknown kind {kind}")
+        return False
+    note(f"G {token}")
+    say(reply)
+    return True
 
 
 def blow_up(request):
