@@ -31,8 +31,9 @@ MAY_DECIDE = 1.2
 TEXTURE_CHANCE = 1e-3
 """Chance that a block looked at texture from which it is asked about under an uneven load: what shows so plainly that
 it is less is the wire, and nothing else may be all there is of half a span."""
-TEXTURE_LIKELY = 0.1
-"""The same chance from which blocks are asked about together: a streak of texture makes several in a row."""
+TEXTURE_LIKELY = 0.03
+"""The same chance from which blocks are asked about together: a curve that was lost before a forest meets texture after
+texture. How much those decide, no linear step foretells: a load that bends to them agrees with all of them."""
 
 
 def lone_block(solution: Solution, tip: int | None = None) -> FloatArray:
@@ -84,10 +85,14 @@ def without_lone(found: Matched, registered: Registered, iterations: int) -> Sol
 
 
 def _deciding(found: Matched, registered: Registered) -> NDArray[np.intp]:
-    """The blocks without which the depth at mid-span would be much less certain; none where it hangs on all alike.
+    """The blocks to do without: all that are likely to be texture, where several are, and one that may be.
 
-    One of those that may be texture is asked for, and all of those together that are likely to be.
+    That one is without which the depth at mid-span would be much less certain, if there is such a one.
     """
+    chance = texture_chance(found)
+    # never all: the surest stays
+    likely = np.setdiff1d(np.flatnonzero(chance >= TEXTURE_LIKELY), [np.argmin(chance)])
+    likely = likely if len(likely) > 1 else likely[:0]
     survey, solution = found.survey, found.solution
     free = survey.unknowns()
     known = survey.prior_information() + solution.products[:-1, :-1] / solution.inflation
@@ -98,17 +103,8 @@ def _deciding(found: Matched, registered: Registered) -> NDArray[np.intp]:
     depth = np.zeros(SIZE)
     depth[SAG], depth[LOAD] = 1 + shapes @ solution.theta[LOAD], solution.theta[SAG] * shapes
     gain, own = _leaving_out(solution, covariance)
-    chance = texture_chance(found)
-    some = [np.array([k]) for k in np.flatnonzero(chance >= TEXTURE_CHANCE)]
-    # never all: the surest stays
-    likely = np.setdiff1d(np.flatnonzero(chance >= TEXTURE_LIKELY), [np.argmin(chance)])
-    if len(likely) > 1:
-        some.append(likely)
-    most, deciding = MAY_DECIDE, np.empty(0, dtype=np.intp)
     variance = max(float(depth @ covariance @ depth), 1e-18)
-    for blocks in some:
-        pull = depth @ gain[:, blocks]
-        growth = np.sqrt(1 + float(pull @ solved(own[np.ix_(blocks, blocks)], pull)) / variance)
-        if growth > most:
-            most, deciding = growth, blocks
-    return deciding
+    some = np.flatnonzero(chance >= TEXTURE_CHANCE)
+    growth = np.sqrt(1 + (depth @ gain[:, some]) ** 2 / np.diag(own)[some] / variance)
+    most = np.argsort(growth)[-1:]
+    return np.union1d(likely, some[most[growth[most] > MAY_DECIDE]])
