@@ -76,7 +76,7 @@ def without_lone(found: Matched, registered: Registered, iterations: int) -> Sol
     None where such blocks do not decide much.
     """
     deciding = _deciding(found, registered)
-    if not len(deciding):
+    if not 0 < len(deciding) < len(found.offsets.t):
         return None
     kept = np.ones(len(found.offsets.t), dtype=bool)
     kept[deciding] = False
@@ -90,9 +90,7 @@ def _deciding(found: Matched, registered: Registered) -> NDArray[np.intp]:
     That one is without which the depth at mid-span would be much less certain, if there is such a one.
     """
     chance = texture_chance(found)
-    # never all: the surest stays
-    likely = np.setdiff1d(np.flatnonzero(chance >= TEXTURE_LIKELY), [np.argmin(chance)])
-    likely = likely if len(likely) > 1 else likely[:0]
+    likely = np.flatnonzero(chance >= TEXTURE_LIKELY)
     survey, solution = found.survey, found.solution
     free = survey.unknowns()
     known = survey.prior_information() + solution.products[:-1, :-1] / solution.inflation
@@ -107,4 +105,7 @@ def _deciding(found: Matched, registered: Registered) -> NDArray[np.intp]:
     some = np.flatnonzero(chance >= TEXTURE_CHANCE)
     growth = np.sqrt(1 + (depth @ gain[:, some]) ** 2 / np.diag(own)[some] / variance)
     most = np.argsort(growth)[-1:]
-    return np.union1d(likely, some[most[growth[most] > MAY_DECIDE]])
+    one = some[most[growth[most] > MAY_DECIDE]]
+    # never all: the surest stays
+    several = np.setdiff1d(np.union1d(likely, one), [np.argmin(chance)])
+    return several if len(likely) > 1 else one
