@@ -13,8 +13,8 @@ from sagnode.estimate import load, refinement
 from sagnode.estimate.evidence import Unevenness
 from sagnode.estimate.load import Doubt
 from sagnode.estimate.load_kinds import LOAD_U, any_single
-from sagnode.estimate.lone import without_lone
-from sagnode.estimate.matched import Matched
+from sagnode.estimate.lone import TEXTURE_LIKELY, without_lone
+from sagnode.estimate.matched import Matched, texture_chance
 from sagnode.estimate.refinement import completed, offsets_of
 from sagnode.estimate.register import Registered, register
 from sagnode.estimate.swings import explanation
@@ -135,3 +135,16 @@ def test_what_is_seen_of_an_uneven_load_at_once_is_weighed_by_all_loads_too(monk
 def test_under_an_uneven_load_a_block_that_is_surely_the_wire_may_decide() -> None:
     (_, _, match), registered, _ = with_far_blocks(0.0, texture=False)
     assert without_lone(match, registered, 24) is None
+
+
+def test_of_blocks_that_may_all_be_texture_the_surest_stays() -> None:
+    (_, _, match), registered, _ = with_far_blocks(0.0, texture=True)
+    observed, half_range = match.observed, match.observed.half_range[match.observed.usable]
+    quiet = replace(observed, noise=np.full(len(observed.t), 0.01), scatter=0 * observed.scatter)
+    doubtful = replace(match, observed=quiet, offsets=replace(match.offsets, sigma=0.3 * half_range))
+    chance = texture_chance(doubtful)
+    assert (chance > TEXTURE_LIKELY).all()
+    left = without_lone(doubtful, registered, 24)
+    assert left is not None
+    assert left.curve.sigma == pytest.approx(doubtful.offsets.sigma[[np.argmin(chance)]])
+    assert left.curve.t == pytest.approx(match.offsets.t[[np.argmin(chance)]], abs=1e-3)

@@ -44,8 +44,7 @@ def lone_block(solution: Solution, tip: int | None = None) -> FloatArray:
 
     The ``tip`` of a fold is no such block: it is beyond doubt that no other place along the fold is.
     """
-    gain, all_own = _leaving_out(solution, solution.covariance)
-    own = np.diag(all_own)
+    gain, own = _leaving_out(solution, solution.covariance)
     growth = np.sqrt(1 + gain[SAG] ** 2 / own / max(solution.covariance[SAG, SAG], 1e-18))
     if tip is not None:
         growth[tip] = 1.0
@@ -56,13 +55,12 @@ def lone_block(solution: Solution, tip: int | None = None) -> FloatArray:
 
 
 def _leaving_out(solution: Solution, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """The gain G (28, M) of the offsets under a posterior, and what they say that the others do not, S (M, M)."""
+    """The gain G (28, M) of the offsets under a posterior, and what each says that the others do not, s (M,)."""
     inverse = solution.precision / solution.inflation
     weighed = inverse @ solution.jacobian
     gain = covariance @ weighed.T
-    own = inverse - weighed @ gain
-    np.fill_diagonal(own, np.maximum(np.diag(own), 1e-9 * np.diag(inverse)))
-    return gain, own
+    own = np.diag(inverse) - np.sum(weighed * gain.T, axis=1)
+    return gain, np.maximum(own, 1e-9 * np.diag(inverse))
 
 
 def counts(growth: float) -> float:
@@ -71,10 +69,7 @@ def counts(growth: float) -> float:
 
 
 def without_lone(found: Matched, registered: Registered, iterations: int) -> Solution | None:
-    """A conductor under an uneven load solved for without the blocks that may be texture and decide most.
-
-    None where such blocks do not decide much.
-    """
+    """A conductor under an uneven load solved for without the blocks that may be texture; None where there are none."""
     deciding = _deciding(found, registered)
     if not 0 < len(deciding) < len(found.offsets.t):
         return None
@@ -85,9 +80,10 @@ def without_lone(found: Matched, registered: Registered, iterations: int) -> Sol
 
 
 def _deciding(found: Matched, registered: Registered) -> NDArray[np.intp]:
-    """The blocks to do without: all that are likely to be texture, where several are, and one that may be.
+    """The blocks to do without: all that are likely to be texture, where several are, and the one that decides most.
 
-    That one is without which the depth at mid-span would be much less certain, if there is such a one.
+    That one may be texture, and without it the depth at mid-span would be much less certain; there may be none. Of
+    several the surest stays, whatever it is.
     """
     chance = texture_chance(found)
     likely = np.flatnonzero(chance >= TEXTURE_LIKELY)
@@ -103,9 +99,9 @@ def _deciding(found: Matched, registered: Registered) -> NDArray[np.intp]:
     gain, own = _leaving_out(solution, covariance)
     variance = max(float(depth @ covariance @ depth), 1e-18)
     some = np.flatnonzero(chance >= TEXTURE_CHANCE)
-    growth = np.sqrt(1 + (depth @ gain[:, some]) ** 2 / np.diag(own)[some] / variance)
+    growth = np.sqrt(1 + (depth @ gain[:, some]) ** 2 / own[some] / variance)
     most = np.argsort(growth)[-1:]
-    one = some[most[growth[most] > MAY_DECIDE]]
-    # never all: the surest stays
-    several = np.setdiff1d(np.union1d(likely, one), [np.argmin(chance)])
-    return several if len(likely) > 1 else one
+    deciding = some[most[growth[most] > MAY_DECIDE]]
+    if len(likely) < 2:
+        return deciding
+    return np.setdiff1d(np.union1d(likely, deciding), [np.argmin(chance)])
