@@ -85,10 +85,13 @@ def test_each_defect_is_refused_by_its_name(change: str, cause: Cause) -> None:
     assert cause in [r.cause for r in reasons]
 
 
-@pytest.mark.parametrize(("part", "told"), [(0.3, False), (0.37, True)])
-def test_less_than_a_third_of_a_wire_is_not_told(part: float, told: bool) -> None:
+@pytest.mark.parametrize(
+    ("part", "load_u", "told"), [(0.3, 0.0, False), (0.37, 0.0, True), (0.45, LOAD_U, False), (0.55, LOAD_U, True)]
+)
+def test_less_than_a_third_of_a_wire_is_not_told_and_half_under_a_load(part: float, load_u: float, told: bool) -> None:
     site, conductor, match = along_the_line()
     estimates, _ = propagate(site, conductor, match)
+    match = replace(match, survey=replace(match.survey, load_u=load_u))
     # by its length in the picture a third of the span is the clear part of it
     seen = match.track.t < match.track.t[0] + part
     nowhere = replace(match.observed, sigma=np.full(len(match.observed.t), 2.0))
@@ -148,7 +151,7 @@ def test_an_uneven_load_is_told_only_by_more_blocks_than_it_has_unknowns(count: 
 
 
 @pytest.mark.parametrize(("chance", "refused"), [(0.005, False), (0.03, True)])
-def test_an_uneven_load_is_told_only_where_a_third_of_the_span_is_surely_the_wire(chance: float, refused: bool) -> None:
+def test_an_uneven_load_is_told_only_where_half_of_the_span_is_surely_the_wire(chance: float, refused: bool) -> None:
     site, conductor, match = along_the_line()
     estimates, _ = propagate(site, conductor, match)
     # the near part stands out, and the far one by blocks alone, any of which may have looked at texture
