@@ -32,7 +32,7 @@ SUPPORT_MIN = 0.30
 """Least share of the curve in view that must stand out; a window does so by chance once in twenty."""
 MEASURED_PX = 0.8
 """A block that is surer than this, and lies nearer to the curve, shows the wire there."""
-SURELY = 0.01
+SURELY = 0.05
 """Chance that a block looked at texture below which it surely shows the wire, where a curve may bend to anything."""
 NOT_LOOKED_AT = Sighting(0.0, np.zeros(0, dtype=bool))
 
