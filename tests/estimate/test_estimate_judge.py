@@ -9,7 +9,7 @@ import pytest
 from demo_wire import along_the_line, of_blocks_alone
 from numpy.typing import NDArray
 
-from sagnode.estimate.judge import borne_out, judge
+from sagnode.estimate.judge import NOT_EXCLUDED, borne_out, judge
 from sagnode.estimate.load_kinds import LOAD_U
 from sagnode.estimate.matched import visible_share
 from sagnode.estimate.refinement import offsets_of
@@ -38,6 +38,31 @@ def test_the_sag_of_a_flat_wire_may_be_as_uncertain_as_that_of_one_that_hangs_lo
     validity, reasons = judge(site, conductor, match, estimates)
     assert (validity is not Validity.INVALID) is told, reasons
     assert told or [r.cause for r in reasons] == [Cause.UNCERTAIN]
+
+
+def test_what_is_too_uncertain_says_what_makes_it_so_but_for_loads_that_nothing_speaks_for() -> None:
+    site, conductor, match = along_the_line()
+    estimates, budget = propagate(site, conductor, match)
+    sag = estimates["sag"]
+    estimates["sag"] = sag._replace(u=0.13 * sag.value)
+    budget["sag"] = {"pixel noise": 0.01, "swing prior": 0.1 * sag.value, NOT_EXCLUDED: 0.05 * sag.value}
+    validity, (reason,) = judge(site, conductor, match, estimates, budget=budget)
+    assert (validity, reason.cause) == (Validity.INVALID, Cause.UNCERTAIN)
+    assert "sag is 12.0 % of it, most of all by 'swing prior'" in reason.text
+    budget["sag"][NOT_EXCLUDED] = 0.126 * sag.value
+    validity, (reason,) = judge(site, conductor, match, estimates, budget=budget)
+    assert (validity, reason.cause) == (Validity.QUESTIONABLE, Cause.UNCERTAIN)
+    assert f"most of all by {NOT_EXCLUDED!r}, exceeds the configured" in reason.text
+
+
+def test_what_exceeds_the_configured_limit_says_what_makes_it_so() -> None:
+    site, conductor, match = along_the_line()
+    estimates, budget = propagate(site, conductor, match)
+    strict = replace(site, limits=site.limits.model_copy(update={"clearance_u_max_m": 1e-4}))
+    budget["clearance"] = {**budget["clearance"], "ground": 1.0}
+    _, (reason,) = judge(strict, conductor, match, estimates, budget=budget)
+    assert reason.cause is Cause.UNCERTAIN
+    assert "most of all by 'ground', exceeds the configured 0.0001 m" in reason.text
 
 
 def test_a_clear_wire_is_good() -> None:

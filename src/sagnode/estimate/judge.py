@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import cv2
@@ -28,6 +28,10 @@ from sagnode.quality import Cause, Reason, Validity
 from sagnode.site import Site, SiteConductor
 from sagnode.survey import LOAD
 
+Budget = Mapping[str, Mapping[str, float]]
+"""Standard uncertainty of every quantity by source, in the quantity's unit."""
+NOT_EXCLUDED = "load not excluded"
+"""The part of it that is for loads which the picture does not exclude."""
 DARK_LEVEL = 12.0
 """Grey level below which even the brightest hundredth of the picture shows nothing."""
 OVEREXPOSED_SHARE = 0.6
@@ -98,13 +102,14 @@ def judge(
     found: Matched | None,
     estimates: dict[str, Estimate],
     landmarks: float | None = None,
-    allowance: float = 0.0,
+    budget: Budget | None = None,
 ) -> tuple[Validity, list[Reason]]:
     """Validity and reasons of one conductor's estimate; an invalid one carries no numbers.
 
     ``landmarks`` is the share of those that the reference picture shows which were recognised, where there is one, and
-    ``allowance`` the part of the sag's standard uncertainty, m, that is for loads which are not excluded.
+    ``budget`` the standard uncertainty of every quantity by source.
     """
+    budget = {} if budget is None else budget
     if found is None:
         return Validity.INVALID, [Reason(Cause.NO_CONDUCTOR, "no curve of this conductor lies on anything like a wire")]
     if found.crowded:
@@ -116,13 +121,13 @@ def judge(
     invalid = [
         *_not_a_wire(found),
         *_not_this_conductor(conductor, found, estimates["inplane_sag"]),
-        *_not_certain(found, estimates["sag"], allowance),
+        *_not_certain(found, estimates["sag"], budget),
         *_not_this_scene(found, landmarks),
     ]
     if invalid:
         # several of them name the load
         return Validity.INVALID, list(dict.fromkeys(invalid))
-    doubtful = [*_doubts(site, found), *_exceeded(site, estimates)]
+    doubtful = [*_doubts(site, found), *_exceeded(site, estimates, budget)]
     return (Validity.QUESTIONABLE, doubtful) if doubtful else (Validity.GOOD, [])
 
 
@@ -245,7 +250,7 @@ def _not_this_conductor(conductor: SiteConductor, found: Matched, sag: Estimate)
     return reasons
 
 
-def _not_certain(found: Matched, sag: Estimate, allowance: float) -> list[Reason]:
+def _not_certain(found: Matched, sag: Estimate, budget: Budget) -> list[Reason]:
     reasons = []
     if not found.solution.converged:
         reasons.append(Reason(Cause.NOT_CONVERGED, "the joint estimate of camera and conductor did not settle"))
@@ -253,12 +258,21 @@ def _not_certain(found: Matched, sag: Estimate, allowance: float) -> list[Reason
         text = "the wire hangs as under an uneven load, ice or a weight on a part of the span, that cannot be followed"
         reasons.append(Reason(Cause.ICE_SUSPECT, text))
     # what is allowed for a load says nothing against the even one's propagation
-    u = math.sqrt(max(sag.u**2 - allowance**2, 0.0))
+    sources = dict(budget.get("sag", {}))
+    u = math.sqrt(max(sag.u**2 - sources.pop(NOT_EXCLUDED, 0.0) ** 2, 0.0))
     if u > most_sag_u(found, sag.value):
         share = u / max(sag.value, 1e-9)
-        text = f"standard uncertainty of sag is {100 * share:.1f} % of it; the view or the survey is too weak"
+        text = (
+            f"standard uncertainty of sag is {100 * share:.1f} % of it{_mostly(sources)}; the view or the"
+            " survey is too weak"
+        )
         reasons += [Reason(Cause.UNCERTAIN, text), *_ice(found)]
     return reasons
+
+
+def _mostly(sources: Mapping[str, float]) -> str:
+    """The greatest source of an uncertainty, as words to go on with; none where no budget is known."""
+    return f", most of all by {max(sources, key=lambda name: sources[name])!r}" if sources else ""
 
 
 def most_sag_u(found: Matched, sag: float) -> float:
@@ -301,11 +315,14 @@ def _doubts(site: Site, found: Matched) -> list[Reason]:
     return reasons
 
 
-def _exceeded(site: Site, estimates: dict[str, Estimate]) -> list[Reason]:
+def _exceeded(site: Site, estimates: dict[str, Estimate], budget: Budget) -> list[Reason]:
     """The configured limits of uncertainty that an estimate exceeds: told, but questionable."""
     reasons = []
     for stem, limit in (("sag", site.limits.sag_u_max_m), ("clearance", site.limits.clearance_u_max_m)):
         if limit is not None and stem in estimates and estimates[stem].u > limit:
-            text = f"standard uncertainty of {stem} {estimates[stem].u:.3f} m exceeds the configured {limit:g} m"
+            text = (
+                f"standard uncertainty of {stem} {estimates[stem].u:.3f} m{_mostly(budget.get(stem, {}))}, exceeds the"
+                f" configured {limit:g} m"
+            )
             reasons.append(Reason(Cause.UNCERTAIN, text))
     return reasons

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sagnode.estimate.judge import judge
+from sagnode.estimate.judge import NOT_EXCLUDED, judge
 from sagnode.estimate.load_kinds import LOAD_U
 from sagnode.estimate.lone import counts, lone_block
 from sagnode.estimate.matched import Matched, on_curve, tip_of, visible_share
@@ -72,8 +72,7 @@ def tell(
     # judge: may it be told?
     tracked = registered.tracked
     landmarks = None if tracked is None else tracked.count / max(int(tracked.visible.sum()), 1)
-    allowance = budget.get("sag", {}).get("load not excluded", 0.0)
-    validity, reasons = judge(site, conductor, found, estimates, landmarks, allowance)
+    validity, reasons = judge(site, conductor, found, estimates, landmarks, budget)
     told = validity is not Validity.INVALID
     return FrameMeasurement(
         conductor=conductor.id,
@@ -205,7 +204,7 @@ def _of_one(site: Site, conductor: SiteConductor, found: Matched) -> dict[str, _
             # what an uneven load leaves undefined, as a tension, is off by what the even one's sag and swing are
             there = loaded.get(stem, value + (loads.theta - theta) @ g[row])
             # as far as the interval does not reach to the other load anyway
-            parts["load not excluded"] = (1 - found.other_weight) * loads.variance(value, there)
+            parts[NOT_EXCLUDED] = (1 - found.other_weight) * loads.variance(value, there)
         told[stem] = _Told(value, parts)
     return told
 

@@ -136,7 +136,7 @@ def _foreseen(
     budget: dict[str, dict[str, float]] = {}
     if found is not None:
         estimates, budget = propagate(site, conductor, found)
-    validity, reasons = judge(site, conductor, found, estimates)
+    validity, reasons = judge(site, conductor, found, estimates, budget=budget)
     if found is not None:
         sag = estimates["sag"]
         if validity is not Validity.INVALID and abs(sag.value - design["sag"]) > 5 * sag.u:
