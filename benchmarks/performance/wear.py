@@ -18,6 +18,8 @@ from performance.process import written_bytes
 from performance.running import broker_table, journalled, stand_in_daemon
 from sagnode.demo.broker import EmbeddedBroker
 
+PATH = ":".join([os.environ.get("PATH", os.defpath), "/usr/sbin", "/sbin"])
+"""Where file systems are made and mounted: an administrator's programs, even where the path has none of them."""
 CARD_MB = 256
 SECTOR = 512
 
@@ -68,7 +70,7 @@ def _card(folder: Path) -> Iterator[tuple[Path, str | None]]:
     mount = folder / "card"
     mount.mkdir(exist_ok=True)
     image = folder / "card.img"
-    if os.geteuid() != 0 or shutil.which("mkfs.ext4", path="/usr/sbin:/sbin:/usr/bin:/bin") is None:
+    if os.geteuid() != 0 or shutil.which("mkfs.ext4", path=PATH) is None:
         plain = folder / "card-plain"
         shutil.rmtree(plain, ignore_errors=True)
         plain.mkdir()
@@ -76,12 +78,13 @@ def _card(folder: Path) -> Iterator[tuple[Path, str | None]]:
         return
     with image.open("wb") as file:
         file.truncate(CARD_MB << 20)
-    quiet = {"check": True, "stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    everywhere = os.environ | {"PATH": PATH}
+    quiet = {"check": True, "stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, "env": everywhere}
     # tables made at once, so that the kernel does not write them in the background while we count
     options = ["-q", "-F", "-E", "lazy_itable_init=0,lazy_journal_init=0"]
-    subprocess.run(["/usr/sbin/mkfs.ext4", *options, str(image)], **quiet)
+    subprocess.run(["mkfs.ext4", *options, str(image)], **quiet)
     shown = subprocess.run(
-        ["losetup", "--find", "--show", str(image)], check=True, capture_output=True, text=True
+        ["losetup", "--find", "--show", str(image)], check=True, capture_output=True, text=True, env=everywhere
     ).stdout.strip()
     try:
         subprocess.run(["mount", "-o", "noatime", shown, str(mount)], **quiet)
