@@ -12,7 +12,7 @@ With J the derivatives of all this by θ and C its covariance, the limit of a qu
 ``√(gᵀ (P⁻¹ + JᵀC⁻¹J)⁻¹ g)``, for the clearance together with the survey's uncertainty of the ground. It is the
 Cramér–Rao bound of a Gaussian model with a prior (van Trees). Each conductor is taken for itself; a
 truly uneven load has the terms and the prior that the node gives one. Texture behind the
-wire, rain, drops and glare are not in it, nor are things that hide landmarks.
+wire, rain and drops are not in it, nor are things that hide landmarks.
 """
 
 from __future__ import annotations

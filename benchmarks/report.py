@@ -86,7 +86,7 @@ def report(outcomes: Sequence[Outcome], command: str) -> str:
         *_sequences(told),
         *_negatives(own),
         "## All quantities",
-        "All groups but the laboratory's together.",
+        "All groups but the laboratory's together, and which reading erred most: group, world.frame and conductor.",
         _all_quantities([o for name, some in told.items() if not name.endswith(("lab", "lab45")) for o in some]),
         *_beside(outcomes, present),
     ]
@@ -177,8 +177,12 @@ def _negatives(own: Sequence[Outcome]) -> list[str]:
 def _all_quantities(some: Sequence[Outcome]) -> str:
     if not some:
         return ""
-    head = HEADER.replace("group", "quantity")
-    return "\n".join([head, *(_line(stem, some, stem) for stem in stems_of(some))])
+    first, second = HEADER.replace("group", "quantity").splitlines()
+    lines = [f"{first} of |", f"{second}---|"]
+    for stem in stems_of(some):
+        row = statistics(some, stem)
+        lines.append(f"{_line(stem, some, stem)} {row.worst if row else ''} |")
+    return "\n".join(lines)
 
 
 def _beside(outcomes: Sequence[Outcome], present: Sequence[str]) -> list[str]:

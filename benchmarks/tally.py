@@ -129,6 +129,8 @@ class Row:
     coverage: float
     half_width: float
     worst_z: float
+    worst: str
+    """Which reading that is: group, world, frame and conductor."""
     to_limit: float
     """Root mean square of the errors over the limit of their own scene; NaN where there is none."""
     width_to_limit: float
@@ -156,6 +158,7 @@ def statistics(outcomes: Sequence[Outcome], stem: str) -> Row | None:
         relative = np.where(truth != 0, error / truth, np.nan)
         bound = np.where(bound > 0, bound, np.nan)
         bound_relative = np.where(truth != 0, bound / truth, np.nan)
+    worst = max(told, key=lambda o: abs(o.z(stem)))
     return Row(
         stem=stem,
         told=len(told),
@@ -165,7 +168,8 @@ def statistics(outcomes: Sequence[Outcome], stem: str) -> Row | None:
         bias_rel=float(relative.mean()),
         coverage=float(np.mean([o.covered(stem) for o in told])),
         half_width=float(half.mean()),
-        worst_z=float(np.max(np.abs([o.z(stem) for o in told]))),
+        worst_z=abs(worst.z(stem)),
+        worst=f"{worst.group} {worst.world}.{worst.frame} {worst.conductor}",
         to_limit=_rms(error / bound),
         width_to_limit=float(np.mean(half / (2 * bound))),
         limit=_rms(bound),

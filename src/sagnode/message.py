@@ -58,8 +58,8 @@ QUANTITIES: tuple[Quantity, ...] = (
     Quantity("clearance_along", "m", "horizontal distance from A along the span of the place of least clearance"),
     Quantity("midspan_sag", "m", "vertical distance from the chord at mid-span"),
     Quantity("midspan_clearance", "m", "vertical distance to the ground at mid-span"),
-    Quantity("catenary_constant", "m", "horizontal tension over unit weight, H/w"),
-    Quantity("tension", "n", "horizontal tension H, where the unit weight is configured"),
+    Quantity("catenary_constant", "m", "horizontal tension over unit weight, H/w, if nothing hangs on the conductor"),
+    Quantity("tension", "n", "horizontal tension H of the bare conductor, where its unit weight is configured"),
     Quantity("load_skew", "", "uneven load: how much heavier than the mean the span hangs at B, and lighter at A"),
     Quantity("conductor_temp", "c", "derived by the state-change equation from stringing data, where configured"),
 )

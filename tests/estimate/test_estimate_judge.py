@@ -262,3 +262,14 @@ def test_what_may_hang_unevenly_is_told_only_beside_others_of_its_span(
     assert [r.cause for r in own.reasons] == [Cause.AMBIGUOUS] * refused + [Cause.ICE_SUSPECT]
     even = measured("a", Validity.GOOD)
     assert borne_out([even, *others])[0] is even
+
+
+def test_no_tension_is_told_where_a_weight_may_hang() -> None:
+    """The sag is nearly the same under both, the tension is not: 1.5 times as much under a weight at mid-span as heavy
+    as the wire's half (``test_scene_truth``)."""
+    site, conductor, match = along_the_line()
+    told, _ = propagate(site, conductor, match)
+    either, budget = propagate(site, conductor, replace(match, other=match, other_weight=0.3))
+    assert told.keys() - either.keys() <= {"catenary_constant", "tension", "conductor_temp"}
+    assert "catenary_constant" in told and "catenary_constant" not in either | budget
+    assert either["sag"].value == told["sag"].value

@@ -3,12 +3,18 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 
 from presets import preset_scene
+from sagnode.geometry.camera import project
+from sagnode.scene.catenary import WireState, wire_points
 from sagnode.scene.optics import develop, exposure_and_gain, illumination, sunlight
+from sagnode.scene.render import render
+from sagnode.scene.site import demo_site
 from sagnode.scene.spec import Moment
 
 
@@ -53,3 +59,28 @@ def test_the_same_seed_gives_the_same_pixels() -> None:
     first, again, other = (develop(scene, Moment({}, seed=seed), even.copy()) for seed in (1, 1, 2))
     assert np.array_equal(first, again)
     assert not np.array_equal(first, other)
+
+
+@pytest.mark.parametrize(("glare", "exposure", "drowned"), [(0.0, 1.0, False), (1.0, 1.0, False), (1.0, 1.6, True)])
+def test_what_is_said_of_a_wire_is_what_glare_and_the_sensor_leave_of_it(
+    glare: float, exposure: float, drowned: bool
+) -> None:
+    """Against the frame itself: the same without wires, less the one with them."""
+    scene = demo_site().scene
+    wires = {c.id: WireState(0.5 * (c.sag_min_m + c.sag_max_m), 0.0) for c in scene.surveyed.conductors}
+    conductor = next(c for c in scene.true.conductors if c.id == "L1")
+    ends = np.array(conductor.near), np.array(conductor.far)
+    azimuth = math.degrees(math.atan2(*(ends[1] - ends[0])[:2]))
+    sun = {"sun_elevation_deg": 3.0, "sun_azimuth_deg": azimuth}
+    moment = Moment(wires, **sun, glare=glare, exposure=exposure, read_noise=0.0, shot_noise=0.0)
+    frame, bare = render(scene, moment), render(scene, replace(moment, draw_wires=False))
+    gone = cv2.dilate(np.abs(bare.image.astype(np.float32) - frame.image), np.ones((3, 3)))
+    (seen,) = frame.seen["L1"]
+    points = wire_points(*ends, moment.wires["L1"], seen.place)
+    u, v = np.rint(project(scene.intrinsics, scene.pose_at(moment), points)[0]).astype(int).T
+    thick = seen.width > 1.5
+    stated = seen.contrast(moment.psf_px)[thick]
+    measured = gone[np.clip(v, 0, len(gone) - 1), np.clip(u, 0, gone.shape[1] - 1)][thick]
+    assert np.median(np.abs(measured - stated)) < 3.0
+    assert float(np.mean(stated < 1.0)) == pytest.approx(float(np.mean(measured < 1.0)), abs=0.05)
+    assert bool(np.mean(measured < 1.0) > 0.1) is drowned

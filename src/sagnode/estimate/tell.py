@@ -30,6 +30,8 @@ TEMPERATURE_SWING = np.radians(5.0)
 """Beyond this swing the wind's pull is in the sag, and no temperature is derived from it."""
 _PLACE_STEMS = ("clearance_along", "lowest_along")
 _GROUND_STEMS = ("clearance", "midspan_clearance")
+_BY_WEIGHT = ("catenary_constant", "tension")
+"""What a sag says of a wire that bears its own weight and nothing else."""
 _STEPS = {**dict.fromkeys(range(10, 17), 0.001), **dict.fromkeys(range(SWING, SIZE), 1e-4)}
 Columns = dict[str, FloatArray]
 
@@ -175,6 +177,9 @@ def _of_one(site: Site, conductor: SiteConductor, found: Matched) -> dict[str, _
     calm = abs(float(theta[SWING])) < TEMPERATURE_SWING and not survey.load_u and found.other is None
     around, steps = _around(found)
     all_values = _values(site, conductor, survey, around, calm=calm)
+    if found.other is not None:
+        # the same sag under a weight is half as much tension again: an interval that held both would say nothing
+        all_values = {stem: values for stem, values in all_values.items() if stem not in _BY_WEIGHT}
     table = np.array(list(all_values.values()))
     g = np.zeros((len(table), SIZE))
     g[:, list(steps)] = (table[:, 1:-2:2] - table[:, 2:-2:2]) / (2 * np.array(list(steps.values())))

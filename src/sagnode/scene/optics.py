@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import cv2
 import numpy as np
 
 from sagnode.capture.port import GreyImage
+from sagnode.geometry.camera import FloatArray
 from sagnode.scene.canvas import rays_of
 from sagnode.scene.noise import Float32, Floats, generator
 from sagnode.scene.spec import Moment, Scene
+from sagnode.scene.wires import Seen
 
 _LONGEST = 2.0e4
 """Largest ratio by which exposure time and gain can be raised over a bright day."""
@@ -108,16 +111,44 @@ def _rain(moment: Moment, light: Float32, rng: np.random.Generator) -> Float32:
 
 def _glare(scene: Scene, moment: Moment, light: Float32) -> Float32:
     """Veil of a sun in or near the frame: everywhere a little, around the sun much."""
-    rotation = scene.pose_at(moment).rotation
-    azimuth, elevation = math.radians(moment.sun_azimuth_deg), math.radians(moment.sun_elevation_deg)
-    sun = np.array(
-        [math.sin(azimuth) * math.cos(elevation), math.cos(azimuth) * math.cos(elevation), math.sin(elevation)]
-    )
-    x, y, z = (rotation @ sun).astype(np.float32)
+    x, y, z = (scene.pose_at(moment).rotation @ sun_direction(moment)).astype(np.float32)
     rays = rays_of(scene.intrinsics).camera
     cosine = (rays[..., 0] * x + rays[..., 1] * y + z) / np.sqrt(
         rays[..., 0] ** 2 + rays[..., 1] ** 2 + np.float32(1.0)
     )
+    return np.asarray(light + _veil(moment, cosine), np.float32)
+
+
+def _veil(moment: Moment, cosine: Floats) -> Floats:
+    """Stray light of the sun (linear greys) in directions of that cosine to it."""
     angle = np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))
     veil = np.float32(60.0) + np.float32(900.0) / (1 + (angle / np.float32(3.0)) ** 2)
-    return np.asarray(light + np.float32(moment.glare) * veil, np.float32)
+    return np.asarray(np.float32(moment.glare) * veil, np.float32)
+
+
+def sun_direction(moment: Moment) -> FloatArray:
+    """Unit vector (3,) towards the sun, site frame."""
+    azimuth, elevation = math.radians(moment.sun_azimuth_deg), math.radians(moment.sun_elevation_deg)
+    return np.array(
+        [math.sin(azimuth) * math.cos(elevation), math.cos(azimuth) * math.cos(elevation), math.sin(elevation)]
+    )
+
+
+def developed(scene: Scene, moment: Moment, seen: Seen, points: FloatArray) -> Seen:
+    """How a wire came out when the sun's veil lies over it and the sensor has no more levels.
+
+    Args:
+        scene: of the frame.
+        moment: of the frame.
+        seen: how it came out before that.
+        points: where it is in space (N, 3), site frame.
+    """
+    background = seen.background
+    if moment.glare > 0:
+        rays = points - scene.pose_at(moment).position
+        cosine = rays @ sun_direction(moment) / np.linalg.norm(rays, axis=1)
+        background = background + _veil(moment, cosine.astype(np.float32))
+    full = np.float32((255 - _BLACK) / max(exposure_and_gain(moment)[0], 1e-6))
+    cover = np.maximum(seen.cover(moment.psf_px), np.float32(1e-6))
+    left = np.minimum(background + cover * seen.difference, full) - np.minimum(background, full)
+    return replace(seen, background=background, difference=np.asarray(left / cover, np.float32))

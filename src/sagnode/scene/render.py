@@ -10,10 +10,10 @@ import numpy as np
 from sagnode.capture.port import GreyImage
 from sagnode.geometry.camera import FloatArray
 from sagnode.scene.canvas import Air, Canvas
-from sagnode.scene.catenary import WireState
+from sagnode.scene.catenary import WireState, wire_points
 from sagnode.scene.light import Light
 from sagnode.scene.noise import Floats, sample, tile
-from sagnode.scene.optics import develop, exposure_and_gain, noise_level
+from sagnode.scene.optics import develop, developed, exposure_and_gain, noise_level
 from sagnode.scene.sky import air_light, paint_horizon, paint_sky
 from sagnode.scene.spec import Moment, Scene, SpanFrame
 from sagnode.scene.structures import Bar, Thing, landmark_things, tower
@@ -112,7 +112,11 @@ def _draw_wires(canvas: Canvas, scene: Scene, moment: Moment, light: Light) -> d
         if conductor.id not in moment.wires:
             continue
         seed = scene.seed + 1000 * (k + 1)
-        seen[conductor.id] = draw_conductor(canvas, conductor, moment.wires[conductor.id], look, seed)
+        state, ends = moment.wires[conductor.id], (np.array(conductor.near), np.array(conductor.far))
+        seen[conductor.id] = tuple(
+            developed(scene, moment, drawn, wire_points(*ends, state, drawn.place))
+            for drawn in draw_conductor(canvas, conductor, state, look, seed)
+        )
     return seen
 
 
@@ -126,7 +130,7 @@ def _summary(wires: tuple[Seen, ...], moment: Moment) -> dict[str, float]:
     ``visible_share``: share of the span in the frame and behind nothing. ``resolved_share``: share of the span where
     the wire's contrast also reaches the noise of one pixel; ``clear_share``: three times that. ``contrast_grey`` and
     ``snr``: medians of contrast, and of contrast over noise, over the visible span. A bundle is told by its first
-    sub-conductor. Rain streaks, drops on the lens and glare come after this and are not counted.
+    sub-conductor. Rain streaks and drops on the lens come after this and are not counted.
     """
     how = wires[0]
     brightness, gain = exposure_and_gain(moment)

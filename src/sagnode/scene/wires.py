@@ -51,8 +51,11 @@ class Seen:
 
     def contrast(self, psf_px: float) -> Floats:
         """Difference of its middle in the picture from what is behind it (N,), linear greys, never negative."""
-        cover = 2 * normal_cdf(self.width / np.float32(2 * psf_px)) - 1
-        return np.abs(cover * self.difference)
+        return np.abs(self.cover(psf_px) * self.difference)
+
+    def cover(self, psf_px: float) -> Floats:
+        """How much of its middle is wire and not what is behind it (N,), once blurred."""
+        return np.asarray(2 * normal_cdf(self.width / np.float32(2 * psf_px)) - 1)
 
 
 _UNSEEN = Seen(np.zeros(0), np.zeros(0), *(np.zeros(0, np.float32),) * 3)
