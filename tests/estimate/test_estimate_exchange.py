@@ -25,7 +25,7 @@ from sagnode.scene.spec import Moment, Scene
 from sagnode.site import Site
 
 SAGS = {"L1": 1.9, "L2": 2.0}
-SURE, UNSURE = 0.02, 0.2
+SURE, UNSURE = 0.005, 0.2
 """How well attachments may be known, m: the wires' pictures tell which is whose, or they do not."""
 ANY_SAG, FEW_SAGS = (1.0, 3.2), (1.75, 2.15)
 """Possible sags, m: those that the conductors would have in each other's places among them, or not."""

@@ -147,7 +147,7 @@ def test_the_uncertainty_of_the_curve_is_that_of_numpy():
 def test_arguments_that_do_not_fit_are_refused(place, other, error, message):
     survey, start, _, curve = question(4, count=12)
     asked = [*words(survey, start, curve), 18, curve.arc, curve.sigma, np.zeros((12, 2)), np.eye(28), np.zeros(28)]
-    asked += [np.ones(18), np.ones(10), 5, np.zeros((28, 28)), *np.zeros((3, 12)), np.zeros((12, 28))]
+    asked += [np.ones(18), np.ones(11), 5, np.zeros((28, 28)), *np.zeros((3, 12)), np.zeros((12, 28))]
     kernels.solve(*asked)
     asked[place] = other
     with pytest.raises(error, match=message):

@@ -45,11 +45,13 @@ STILL = 0.5
 """Standard uncertainties of sag and swing within which a solution is where it began."""
 ANEW = 0.5
 """A step of more than this many standard uncertainties makes the derivatives be taken anew."""
+BENT = 0.02
+"""So does a :func:`bend` of more than this, however many steps it took."""
 STRIDE = (0.1, np.radians(2.0))
 """Longest steps: of sag, as a share of its surveyed range, and of swing."""
 SWING_MAX = 1.4
 """Farthest swing that an estimate goes to, rad."""
-_SETTINGS = (CORRELATION_LENGTH_PX, CAUCHY_CURVE, SETTLED, ANEW)
+_SETTINGS = (CORRELATION_LENGTH_PX, CAUCHY_CURVE, SETTLED, ANEW, BENT)
 SOURCES = {
     "orientation prior": slice(0, 3),
     "camera position": slice(3, 6),
@@ -291,6 +293,7 @@ def _solve(asked: _Question) -> Solution:
     theta, converged, nowhere, inflation = asked.start.copy(), False, False, 1.0
     posterior = solve_scaled(known_free, target_free)[1]
     residual, jacobian = curve_terms(survey, theta, curve)
+    taken = theta.copy()
     for step_number in range(asked.iterations):
         weight, noise, inflation = _weighted(residual, white, shared, begun=step_number >= 2)
         own = jacobian[:, free]
@@ -302,9 +305,10 @@ def _solve(asked: _Question) -> Solution:
         theta[free] += step / max(1.0, float(np.max(np.abs(step) / asked.longest)))
         theta[SAG] = min(max(theta[SAG], sag_low), sag_high)
         theta[SWING] = min(max(theta[SWING], swing_low), swing_high)
-        length = step_length(step, after)
-        if length > ANEW:
+        length, bent = step_length(step, after), bend(theta, taken, after)
+        if length > ANEW or bent > BENT:
             residual, jacobian = curve_terms(survey, theta, curve)
+            taken = theta.copy()
         else:
             residual = curve_residual(survey, theta, curve)
         if not (np.isfinite(length) and np.isfinite(residual).all()):
@@ -312,7 +316,7 @@ def _solve(asked: _Question) -> Solution:
             residual, jacobian = curve_terms(survey, theta, curve)
             break
         posterior = after
-        if step_number >= 2 and length < SETTLED:
+        if step_number >= 2 and length < SETTLED and bent <= BENT:
             converged = True
             break
     covariance = np.zeros((SIZE, SIZE))
@@ -331,6 +335,17 @@ def _solve(asked: _Question) -> Solution:
         camera=asked.camera,
         shared=correlated if survey.load_u > 0 else None,
     )
+
+
+def bend(theta: FloatArray, taken: FloatArray, covariance: FloatArray) -> float:
+    """What derivatives that were taken elsewhere do to the uncertainty of sag, as a part of it.
+
+    Where a picture leaves swing open, sag follows it, at a rate that itself changes with both: by as much as the sag in
+    its plane has turned and grown since (``taken``, (28,)). Times the uncertainty of swing that is an error of sag.
+    ``covariance`` is of the unknowns, in their order.
+    """
+    moved = abs(theta[SAG] - taken[SAG]) + theta[SAG] * abs(theta[SWING] - taken[SWING])
+    return float(moved * np.sqrt(covariance[SWING, SWING] / covariance[SAG, SAG]))
 
 
 def _misfit(

@@ -30,6 +30,9 @@ TEMPERATURE_SWING = np.radians(5.0)
 """Beyond this swing the wind's pull is in the sag, and no temperature is derived from it."""
 _PLACE_STEMS = ("clearance_along", "lowest_along")
 _GROUND_STEMS = ("clearance", "midspan_clearance")
+MOST_ASIDE = np.radians(45.0)
+"""Angle between a conductor's plane and what its picture shows of it, up to which sag is known to follow swing by one
+line of sight. From below the line, sag and swing look alike at one end of the span and unlike at the other."""
 _BY_WEIGHT = ("catenary_constant", "tension")
 """What a sag says of a wire that bears its own weight and nothing else."""
 _STEPS = {**dict.fromkeys(range(10, 17), 0.001), **dict.fromkeys(range(SWING, SIZE), 1e-4)}
@@ -217,8 +220,9 @@ def _of_one(site: Site, conductor: SiteConductor, found: Matched) -> dict[str, _
 def _around(found: Matched) -> tuple[FloatArray, dict[int, float]]:
     """θ (S, 28): the solution, a step to both sides of each of its shape's unknowns, and one deviation of swing aside.
 
-    A view from the side hardly sees swing, but it sees the vertical part of the sag: along what it leaves open, the
-    sag in the swung plane grows as 1/cos(swing), which no straight line follows. The last two follow that curve.
+    A view from the side hardly sees swing. What it sees is the sag's part across its line of sight: along what it leaves
+    open, the sag in the swung plane grows as 1/cos(swing + elevation), which no straight line follows. How sag and swing
+    vary together says which elevation that is. The last two rows follow that curve.
     """
     theta, (swing, swing_u) = found.solution.theta, found.swing
     unknowns = len(found.survey.unknowns())
@@ -228,8 +232,11 @@ def _around(found: Matched) -> tuple[FloatArray, dict[int, float]]:
         around[2 * row + 1, k] += step
         around[2 * row + 2, k] -= step
     turned = np.clip(swing + swing_u * np.array([-1.0, 1.0]), -1.4, 1.4)
+    covariance = found.solution.covariance
+    aside = np.arctan2(covariance[SAG, SWING], covariance[SWING, SWING] * theta[SAG])
+    aside = np.clip(aside, -MOST_ASIDE, MOST_ASIDE)
     around[-2:, SWING] = turned
-    around[-2:, SAG] = theta[SAG] * np.cos(swing) / np.cos(turned)
+    around[-2:, SAG] = theta[SAG] * np.cos(aside) / np.cos(np.clip(aside + turned - swing, -1.4, 1.4))
     return around, steps
 
 

@@ -9,7 +9,7 @@
 #include <string.h>
 
 /* What sagnode.estimate.joint hands over of constants and limits, in this order. */
-enum { LEAST_SHARED, SHARE, REACH_PX, CAUCHY, SETTLED, ANEW, SAG_LOW, SAG_HIGH, SWING_LOW, SWING_HIGH, SETTINGS };
+enum { LEAST_SHARED, SHARE, REACH_PX, CAUCHY, SETTLED, ANEW, BENT, SAG_LOW, SAG_HIGH, SWING_LOW, SWING_HIGH, SETTINGS };
 
 /* NaN where any of the values is. */
 static double median_of_absolutes(const double *values, Py_ssize_t count, double *room)
@@ -126,6 +126,14 @@ static int all_finite(const double *values, Py_ssize_t count)
     return 1;
 }
 
+/* sagnode.estimate.joint.bend, of sag and swing as the derivatives were taken. */
+static double bend(const estimate *e, const double *taken, const double *posterior)
+{
+    int width = e->of.free;
+    double moved = fabs(e->theta[SAG] - taken[SAG]) + e->theta[SAG] * fabs(e->theta[SWING] - taken[SWING]);
+    return moved * sqrt(posterior[SWING * width + SWING] / posterior[SAG * width + SAG]);
+}
+
 /* What is known before any step: the prior's covariance (width, width). */
 static void begin(const estimate *e, double *posterior)
 {
@@ -140,7 +148,7 @@ static void begin(const estimate *e, double *posterior)
 static void settle(estimate *e, double *room)
 {
     double *shared = room + e->seen.count, *marginal = shared + e->seen.count;
-    double posterior[SIZE * SIZE], after[SIZE * SIZE], before[SIZE], sums[(1 + LIGHTS) * (1 + LIGHTS)];
+    double posterior[SIZE * SIZE], after[SIZE * SIZE], before[SIZE], taken[SIZE], sums[(1 + LIGHTS) * (1 + LIGHTS)];
     int width = e->of.free, steps = 0, nowhere = 0;
     for (Py_ssize_t n = 0; n < e->seen.count; n++) {
         double own = hypot(e->settings[LEAST_SHARED], e->settings[SHARE] * e->seen.sigma[n]);
@@ -151,12 +159,17 @@ static void settle(estimate *e, double *room)
         }
     }
     terms(&e->of, e->theta, &e->seen, e->residual, e->jacobian);
+    memcpy(taken, e->theta, sizeof taken);
     for (int k = 0; k < e->iterations && !e->converged && !nowhere; k++) {
         double spread = k < 2 ? least(1.4826 * median_of_absolutes(e->residual, e->seen.count, room), 1e-3) : 0.0;
         weights(e, marginal, spread);
         memcpy(before, e->theta, sizeof before);
         double length = advance(e, shared, after);
-        terms(&e->of, e->theta, &e->seen, e->residual, length > e->settings[ANEW] ? e->jacobian : NULL);
+        double bent = bend(e, taken, after);
+        int anew = length > e->settings[ANEW] || bent > e->settings[BENT];
+        terms(&e->of, e->theta, &e->seen, e->residual, anew ? e->jacobian : NULL);
+        if (anew)
+            memcpy(taken, e->theta, sizeof taken);
         nowhere = !(isfinite(length) && all_finite(e->residual, e->seen.count));
         if (nowhere) {
             memcpy(e->theta, before, sizeof before);
@@ -165,7 +178,7 @@ static void settle(estimate *e, double *room)
         }
         memcpy(posterior, after, sizeof posterior);
         steps++;
-        e->converged = k >= 2 && length < e->settings[SETTLED];
+        e->converged = k >= 2 && length < e->settings[SETTLED] && bent <= e->settings[BENT];
     }
     if (steps == 0)
         begin(e, posterior);
