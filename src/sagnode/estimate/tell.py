@@ -220,9 +220,9 @@ def _of_one(site: Site, conductor: SiteConductor, found: Matched) -> dict[str, _
 def _around(found: Matched) -> tuple[FloatArray, dict[int, float]]:
     """θ (S, 28): the solution, a step to both sides of each of its shape's unknowns, and one deviation of swing aside.
 
-    A view from the side hardly sees swing. What it sees is the sag's part across its line of sight: along what it leaves
-    open, the sag in the swung plane grows as 1/cos(swing + elevation), which no straight line follows. How sag and swing
-    vary together says which elevation that is. The last two rows follow that curve.
+    A view from the side hardly sees swing. What it sees is the part of the sag across its line of sight: along what it
+    leaves open, the sag in the swung plane grows as 1/cos(swing + elevation), which no straight line follows. How sag
+    and swing vary together says which elevation that is. The last two rows follow that curve.
     """
     theta, (swing, swing_u) = found.solution.theta, found.swing
     unknowns = len(found.survey.unknowns())
