@@ -28,11 +28,11 @@ K95 = 1.96
 """Coverage factor of a 95 % interval of a normal quantity; linear propagation was found sufficient by Monte Carlo."""
 TEMPERATURE_SWING = np.radians(5.0)
 """Beyond this swing the wind's pull is in the sag, and no temperature is derived from it."""
-_PLACE_STEMS = ("clearance_along", "lowest_along")
-_GROUND_STEMS = ("clearance", "midspan_clearance")
 MOST_ASIDE = np.radians(45.0)
 """Angle between a conductor's plane and what its picture shows of it, up to which sag is known to follow swing by one
 line of sight. From below the line, sag and swing look alike at one end of the span and unlike at the other."""
+_PLACE_STEMS = ("clearance_along", "lowest_along")
+_GROUND_STEMS = ("clearance", "midspan_clearance")
 _BY_WEIGHT = ("catenary_constant", "tension")
 """What a sag says of a wire that bears its own weight and nothing else."""
 _STEPS = {**dict.fromkeys(range(10, 17), 0.001), **dict.fromkeys(range(SWING, SIZE), 1e-4)}
