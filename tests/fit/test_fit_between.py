@@ -189,6 +189,20 @@ def test_a_wire_that_departs_from_every_bezier_is_followed() -> None:
     assert np.median(distances(result, truth)) < 0.5
 
 
+@pytest.mark.parametrize("seed", [300, 302, 304])
+def test_a_wire_that_departs_far_is_found_between_rough_clicks_and_not_its_neighbour(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    truth = inside(VIEWS["side"])
+    u = np.linspace(0, 1, len(truth))
+    # over a pole's crossarm and past a clamp: off any Bézier all along, and most of all at one end
+    truth = truth + np.stack([np.zeros_like(u), 7 * np.sin(3 * np.pi * u) + 7 * np.exp(-(1 - u) / 0.06)], axis=1)
+    image = draw(sky(rng, 6.0), truth, 1.0, 140)
+    image = draw(image, truth + np.array([0.0, 6.0]), 1.0, 140)
+    result = fit_between(picture(image), *clicks(truth, rng, 2.0))
+    assert result.found, result.reasons
+    assert np.median(distances(result, truth)) < 1.0
+
+
 def test_confidence_is_low_where_the_wire_is_hidden() -> None:
     rng = np.random.default_rng(7)
     truth = inside(VIEWS["side"])

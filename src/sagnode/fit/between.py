@@ -9,6 +9,7 @@ stand out, is hidden for the most part, or has an equal elsewhere is refused wit
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import cv2
@@ -20,6 +21,7 @@ from sagnode.fit.curve import Curve, apart
 from sagnode.fit.follow import LEVEL_PX, Picture, follow, pyramid
 from sagnode.fit.judge import Verdict, judge
 from sagnode.fit.refine import Refined, refine, seen_share
+from sagnode.fit.search import Candidate as Arc
 from sagnode.fit.search import search
 from sagnode.geometry.camera import FloatArray
 from sagnode.quality import Cause, Reason
@@ -35,6 +37,11 @@ JUDGED = 3
 """How many arcs are taken over from the map, how many at least are followed, and how many are judged."""
 CLEAR_SHARE = 0.8
 """An arc along which so much of a wire is seen ends the search for others, once the fewest were followed."""
+HOPELESS, CLEAR = -6.0, 3.0
+"""Log-odds of the best curve between which the map is searched again: for arcs through points"""
+ASIDE = ((1.0, 1.0), (-1.0, -1.0), (1.0, -1.0), (-1.0, 1.0))
+"""so many standard uncertainties aside of the first and the second one given. A fine wire a few pixels off those, or
+one that no arc follows, can be missed from one pair of points and found from another."""
 LIKELY_SHARE = 0.5
 """An arc along which so much is seen is tried again in parallel through the points, if it misses them."""
 LONGEST_END = 0.3
@@ -172,10 +179,23 @@ def refusal(reason: Reason, score: float = 0.0, share: float = 0.0) -> FitResult
 
 def candidates(image: GreyImage, anchors: FloatArray, slack: float) -> list[Candidate]:
     """The best few arcs near the anchors (2, 2), followed, judged and refined; best first."""
-    chord = float(np.linalg.norm(anchors[1] - anchors[0]))
-    arcs = search(image, anchors[0], anchors[1], slack, CANDIDATES)
+    found = _followed(image, anchors, slack, search(image, anchors[0], anchors[1], slack, CANDIDATES))
+    across = (anchors[1] - anchors[0])[::-1] * (-1.0, 1.0)
+    across *= slack / float(np.linalg.norm(across))
+    for first, last in ASIDE:
+        if not found or not HOPELESS < found[0].odds < CLEAR:
+            break
+        near = anchors + np.array([[first], [last]]) * across
+        found += _followed(image, anchors, slack, search(image, near[0], near[1], slack, CANDIDATES))
+        found.sort(key=lambda one: -one.odds)
+    return found
+
+
+def _followed(image: GreyImage, anchors: FloatArray, slack: float, arcs: Sequence[Arc]) -> list[Candidate]:
+    """Some arcs of a search, the best first, followed, judged and refined; best first."""
     if not arcs:
         return []
+    chord = float(np.linalg.norm(anchors[1] - anchors[0]))
     pictures = pyramid(image, [arc.curve for arc in arcs], max(1.0, chord / LEVEL_PX))
     followed: list[tuple[Curve, float]] = []
     for number, arc in enumerate(arcs):
