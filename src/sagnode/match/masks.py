@@ -17,7 +17,7 @@ from sagnode.native import kernels
 
 MOST_COMPARED = 300
 """Samples along a curve that suffice to see whether it folds back."""
-MERGED_PX = 1.5
+MERGED_PX = 1.0
 """Two wires whose edges are nearer than this are one line, however well the one of them is taken out."""
 BESIDE_PX = 8.0
 """Distance beyond which what is left of a wire that was taken out moves no other."""
