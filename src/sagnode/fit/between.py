@@ -2,8 +2,9 @@
 
 The way of a fit: arcs between the two points are scored on a map of oriented lines (``search``), the best are
 followed from coarse to fine (``follow``), judged against their own neighbourhood (``judge``), and refined to
-sub-pixel (``refine``). The best of them is the answer if it can be seen along enough of its length; what does not
-stand out, is hidden for the most part, or has an equal elsewhere is refused with its reason.
+sub-pixel (``refine``); where the best of them is neither surely a wire nor surely none, so are arcs between points a
+little aside. The best is the answer if it can be seen along enough of its length; what does not stand out, is hidden
+for the most part, or has an equal elsewhere is refused with its reason.
 """
 
 from __future__ import annotations
